@@ -19,7 +19,10 @@ from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 
-from benchmarks.shared import Options, Section, Table
+from benchmarks.shared import Options, Section, Table, frame_words
+from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.scenes import open_reader
 
 HERE = Path(__file__).resolve().parent
 LIBRARIES = ("numpy", "bpy", "open3d-cpu", "numba", "h5py", "torch", "onnxruntime")
@@ -93,6 +96,12 @@ def write_report(
     return paths
 
 
+def check_frame_folder(root: str) -> None:
+    """Find a frame of FLSea VI at `root`, unless that is empty.  Raises FactoryError if none is."""
+    if root:
+        open_reader(compose_config(frame_words(root)).scenes).discover()
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the named benchmarks, or all.  Returns 0, 1 when one failed, 2 for bad words."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Run benchmarks.")
@@ -121,8 +130,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-    if options.frame and not Path(options.frame).is_dir():
-        print(f"error: --frame {options.frame}: no such folder", file=sys.stderr)
+    try:
+        check_frame_folder(options.frame)
+    except FactoryError as error:
+        print(f"error: --frame: {error}", file=sys.stderr)
         return 2
     bench_options = Options(options.quick, options.frame)
     print(f"# Benchmarks\n\n{machine()}", flush=True)

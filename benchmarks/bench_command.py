@@ -112,23 +112,22 @@ def literal(words: list[str], repeats: int) -> float:
 
 
 def copies(source: Path, target: Path, count: int) -> None:
-    """So many frames at `target` of the first frame of FLSea VI at `source`, no two alike."""
-    config = compose_config(frame_words(str(source)))
-    ref = open_reader(config.scenes).discover().frames[0]
-    scene = next(path for path in source.rglob(ref.scene) if path.is_dir())
-    (image,) = (scene / "imgs").glob(f"{ref.frame}*")
-    (depth,) = (scene / "depth").glob(f"{ref.frame}*")
-    put = target / scene.relative_to(source)
+    """Write `count` different copies of the first FLSea VI frame at `source` to `target`."""
+    frame = open_reader(compose_config(frame_words(str(source))).scenes).discover().frames[0]
+    image, depth = map(Path, frame.paths)
+    scene_folder = target / frame.location / frame.scene
     for name in ("imgs", "depth"):
-        (put / name).mkdir(parents=True)
+        (scene_folder / name).mkdir(parents=True)
     with Image.open(depth) as opened:
-        metres = np.array(opened)
-    row, column = np.argwhere(metres > 0)[len(metres)]
-    first = int(ref.frame)
+        depth_m = np.array(opened)
+    # A pixel with depth, far enough from the upper left corner to be part of the scene.
+    row, column = np.argwhere(depth_m > 0)[len(depth_m)]
     for number in range(count):
-        changed = metres.copy()
-        changed[row, column] += 1e-3 * number
-        stamp = str(first + number)
-        shutil.copy(image, put / "imgs" / image.name.replace(ref.frame, stamp))
-        at = put / "depth" / depth.name.replace(ref.frame, stamp)
-        Image.fromarray(changed).save(at, compression="tiff_lzw")
+        changed_m = depth_m.copy()
+        changed_m[row, column] += 1e-3 * number
+        stamp = str(int(frame.frame) + number)
+        image_name = image.name.replace(frame.frame, stamp)
+        depth_name = depth.name.replace(frame.frame, stamp)
+        shutil.copy(image, scene_folder / "imgs" / image_name)
+        depth_path = scene_folder / "depth" / depth_name
+        Image.fromarray(changed_m).save(depth_path, compression="tiff_lzw")

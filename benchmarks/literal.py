@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from simnfnd.factory.common.array_types import Float64s
 from simnfnd.factory.simulation.frames.frame import Frame
 
 SAMPLES = 16
@@ -46,7 +46,7 @@ class LiteralRecipe:
             self._scatter("noisy", noisy_m, noisy_strength),
         ]
 
-    def _save_cloud(self, frame: Frame) -> npt.NDArray[np.float64]:
+    def _save_cloud(self, frame: Frame) -> Float64s:
         geometry = self.open3d.geometry
         height, width = frame.depth_m.shape
         k = frame.intrinsics
@@ -90,7 +90,7 @@ class LiteralRecipe:
         scene.render.resolution_x = width
         scene.render.resolution_y = height
 
-    def _render(self, frame: Frame) -> npt.NDArray[np.float64]:
+    def _render(self, frame: Frame) -> Float64s:
         import cv2
 
         scene = self.bpy.context.scene
@@ -106,9 +106,7 @@ class LiteralRecipe:
         assert image.shape == frame.depth_m.shape
         return np.asarray(image / 255.0)
 
-    def _scatter(
-        self, name: str, points_m: npt.NDArray[np.float64], strength: npt.NDArray[np.float64]
-    ) -> Path:
+    def _scatter(self, name: str, points_m: Float64s, strength: Float64s) -> Path:
         import matplotlib.pyplot as plt
 
         figure = plt.figure(figsize=(IMAGE_PX / 100, IMAGE_PX / 100), dpi=100)
@@ -138,8 +136,8 @@ def _points_as_spheres(bpy: Any, radius_m: float, material: Any) -> Any:
 
 
 def _with_noise(
-    points_m: npt.NDArray[np.float64], strength: npt.NDArray[np.float64], rng: np.random.Generator
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    points_m: Float64s, strength: Float64s, rng: np.random.Generator
+) -> tuple[Float64s, Float64s]:
     """Section 3.3 with mid-range numbers: spreading, background, a ghost and a spoke; resampled."""
     range_m = np.linalg.norm(points_m, axis=1)
     spread = points_m + np.abs(rng.standard_normal(points_m.shape)) * (0.02 * range_m[:, None])

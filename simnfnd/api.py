@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, overload
 import numpy as np
 import numpy.typing as npt
 
+from .factory.common.array_types import Array, Float32s
 from .python_words import in_python_words
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from .factory.dataset.schema import Pair
     from .models.denoise.denoiser import Denoiser
     from .models.recordings import SonarFrame
-    from .models.recordings.base import Beams, Samples
+    from .models.recordings.base import Beams
     from .models.recordings.fan_tracking import FanTracker
 
 
@@ -32,8 +33,8 @@ class DenoisedImage(NamedTuple):
         grain; 0 where nothing was insonified.
     """
 
-    image: npt.NDArray[Any]
-    removed: npt.NDArray[np.float32]
+    image: Array
+    removed: Float32s
 
 
 @overload
@@ -48,7 +49,7 @@ def denoise(
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
     return_removed: Literal[False] = False,
-) -> npt.NDArray[Any]: ...
+) -> Array: ...
 
 
 @overload
@@ -77,7 +78,7 @@ def denoise(
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
     return_removed: bool = False,
-) -> npt.NDArray[Any] | DenoisedImage:
+) -> Array | DenoisedImage:
     """Denoise one sonar image, or a stack of them.
 
     image: (H, W), (N, H, W), or (H, W, C): C is 1, 2 (grey and alpha), 3 or 4 (colours, with
@@ -118,7 +119,7 @@ def denoise(
     from .models.denoise.images import Denoising
     from .models.recordings.fan_finder import find_geometry
 
-    def place(image: npt.NDArray[Any]) -> FanGeometry | None:
+    def place(image: Array) -> FanGeometry | None:
         return find_geometry(image) if isinstance(known_geometry, str) else known_geometry
 
     known = values.astype(np.float32) if values.dtype.kind == "f" else values
@@ -160,7 +161,7 @@ def _of_pair(image: Any, weights: Any, geometry: Any) -> tuple[Any, Any, Any]:
     return weights, geometry, image.noisy
 
 
-def _values_of(image: Any) -> npt.NDArray[Any]:
+def _values_of(image: Any) -> Array:
     """An image or a stack as an array.  Raises ValueError for a path, and for other shapes."""
     if isinstance(image, str | Path):
         raise ValueError(
@@ -289,13 +290,13 @@ class RecordedFrame:
     frame: all that the file says: samples as stored, beams, pose and device.
     """
 
-    image: npt.NDArray[Any]
+    image: Array
     geometry: FanGeometry | None
     time_s: float | None
     frame: SonarFrame
 
     @property
-    def samples(self) -> Samples:
+    def samples(self) -> Array:
         """What the file holds: (ranges, beams) of a ping, near range first, or the pixels."""
         return self.frame.samples
 
@@ -314,7 +315,7 @@ class RecordedFrame:
         return polar_geometry(self.frame.beams, len(self.frame.samples))
 
     @property
-    def picture(self) -> npt.NDArray[Any]:
+    def picture(self) -> Array:
         """`image` by its name of version 0.4."""
         return self.image
 

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from .factory.common.array_types import Array
+
 if TYPE_CHECKING:
     from .api import RecordedFrame
     from .factory.dataset.fan_geometry import FanGeometry
     from .models.recordings import SonarFrame
     from .models.recordings.fan_tracking import FanTracker
 
-Pixels = npt.NDArray[Any]
 
 _MOST_SIZES = 8  # of images whose fans are remembered
 
@@ -86,7 +87,7 @@ class Denoiser:
 
     def __call__(
         self, frame: npt.ArrayLike | SonarFrame | RecordedFrame, *, time_s: float | None = None
-    ) -> Pixels:
+    ) -> Array:
         """The next frame, denoised, of the same shape and dtype.
 
         frame: (H, W) or (H, W, C) as `denoise` takes an image; or a frame of `open_recording`, of
@@ -142,7 +143,7 @@ class Denoiser:
             return frame
         return SonarFrame(self._count, _values_of(frame), time_s=time_s)
 
-    def _geometry_of(self, image: Pixels, sequence: str = "") -> FanGeometry | None:
+    def _geometry_of(self, image: Array, sequence: str = "") -> FanGeometry | None:
         """The geometry of an image whose frame does not state it.  sequence: see `SonarFrame`."""
         from .api import fitting_geometry
         from .models.recordings.fan_tracking import FanTracker

@@ -1,8 +1,8 @@
 """Small synthetic scenes of echoes for tests of noise and image formation."""
 
 import numpy as np
-import numpy.typing as npt
 
+from simnfnd.factory.common.array_types import Bools, Float64s, Floats
 from simnfnd.factory.simulation.render.base import Mount
 from simnfnd.factory.simulation.sonar.polar import Echoes, in_plane
 from simnfnd.factory.simulation.sonar.window import Window
@@ -36,11 +36,11 @@ def camera_scene(count=200_000, seed=0) -> Echoes:
     )
 
 
-def chosen(echoes: Echoes, mask: npt.NDArray[np.bool_]) -> Echoes:
+def chosen(echoes: Echoes, mask: Bools) -> Echoes:
     return Echoes(*(values[mask] for values in vars(echoes).values()))
 
 
-def to_sonar(mount: Mount, points_camera_m: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+def to_sonar(mount: Mount, points_camera_m: Floats) -> Float64s:
     """(..., 3) points in camera axes -> the same points in sonar axes, metres."""
     offset = np.asarray(points_camera_m, np.float64) - mount.position_camera_m()
     return np.asarray(offset @ mount.rotation_sonar_from_camera().T)

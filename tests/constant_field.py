@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from simnfnd.factory.common.array_types import Float64s
 from simnfnd.factory.dataset.frame_ref import FrameRef
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping
 from simnfnd.factory.simulation.frames.frame import Frame, Intrinsics
@@ -24,7 +24,7 @@ FAR_M = 8.0
 
 def constant_field(
     name: str = "0",
-    pose: npt.NDArray[np.float64] | None = None,
+    pose: Float64s | None = None,
     power: float = 1.0,
     size: tuple[int, int] = (960, 640),
 ) -> tuple[Frame, Rendered]:

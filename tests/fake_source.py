@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from simnfnd.factory.common.array_types import Bools, Float32s
 from simnfnd.factory.common.errors import FactoryError, FrameError, NotRendered
 from simnfnd.factory.common.seeds import stream
 from simnfnd.factory.dataset.frame_ref import FrameRef
@@ -180,9 +180,7 @@ class LethalSource:
         os._exit(9)
 
 
-def fan(
-    shape: tuple[int, int], rng: np.random.Generator
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+def fan(shape: tuple[int, int], rng: np.random.Generator) -> tuple[Float32s, Bools]:
     """(H, W) float32 image in [0, 1] of a 60 degree fan, and its shadows."""
     height, width = shape
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)

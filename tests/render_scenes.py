@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from simnfnd.factory.common.array_types import Float64s, Floats, UInt8s
 from simnfnd.factory.dataset.frame_ref import FrameRef
 from simnfnd.factory.simulation.frames.frame import Frame, Intrinsics
 from tests.project_files import ROOT
@@ -16,9 +14,9 @@ FLSEA = ROOT / "../shared/data/flsea-vi"
 
 
 def frame_of(
-    depth_m: npt.NDArray[np.floating[Any]],
+    depth_m: Floats,
     intrinsics: Intrinsics,
-    rgb: npt.NDArray[np.uint8] | None = None,
+    rgb: UInt8s | None = None,
 ) -> Frame:
     height, width = depth_m.shape
     if rgb is None:
@@ -26,7 +24,7 @@ def frame_of(
     return Frame(FrameRef("", "test", "0"), rgb, depth_m.astype(np.float32), intrinsics)
 
 
-def rays(height: int, width: int, camera: Intrinsics) -> npt.NDArray[np.float64]:
+def rays(height: int, width: int, camera: Intrinsics) -> Float64s:
     """(H, W, 3) directions with z = 1, so that depth times direction is the point."""
     v, u = np.mgrid[:height, :width]
     return np.stack(
@@ -36,7 +34,7 @@ def rays(height: int, width: int, camera: Intrinsics) -> npt.NDArray[np.float64]
 
 def plane_depth(
     height: int, width: int, camera: Intrinsics, normal: tuple[float, ...], distance_m: float
-) -> npt.NDArray[np.float64]:
+) -> Float64s:
     """Depth of the plane normal . P = distance; 0 where the ray does not meet it."""
     along = rays(height, width, camera) @ np.asarray(normal)
     with np.errstate(divide="ignore"):
@@ -44,9 +42,7 @@ def plane_depth(
     return np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0)
 
 
-def box_depth(
-    direction: npt.NDArray[np.float64], low: tuple[float, ...], high: tuple[float, ...]
-) -> npt.NDArray[np.float64]:
+def box_depth(direction: Float64s, low: tuple[float, ...], high: tuple[float, ...]) -> Float64s:
     with np.errstate(divide="ignore", invalid="ignore"):
         low_distance = np.asarray(low) / direction
         high_distance = np.asarray(high) / direction
@@ -55,9 +51,7 @@ def box_depth(
     return np.where((enter < leave) & (enter > 0), enter, np.inf)
 
 
-def sphere_depth(
-    direction: npt.NDArray[np.float64], centre: tuple[float, ...], radius_m: float
-) -> npt.NDArray[np.float64]:
+def sphere_depth(direction: Float64s, centre: tuple[float, ...], radius_m: float) -> Float64s:
     square = (direction**2).sum(axis=-1)
     half = direction @ np.asarray(centre)
     under = half**2 - square * (np.asarray(centre) @ np.asarray(centre) - radius_m**2)

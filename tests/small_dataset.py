@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
+from simnfnd.factory.common.array_types import Bools, Float32s
 from simnfnd.factory.common.files import sha256_of
 from simnfnd.factory.dataset.manifest import Manifest, ShardInfo, save_manifest
 from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance, config_hash
@@ -24,7 +24,7 @@ COLUMNS = (
 PROVENANCE = Provenance({"made": "by a test", "noise": {}}, "0123abcd", "tests")
 
 
-def fan_mask(size: int) -> npt.NDArray[np.bool_]:
+def fan_mask(size: int) -> Bools:
     """(size, size) bool sector with its apex below the image."""
     rows, columns = np.mgrid[0:size, 0:size]
     up = size * 1.05 - rows
@@ -35,7 +35,7 @@ def fan_mask(size: int) -> npt.NDArray[np.bool_]:
 
 def fan_images(
     size: int, rng: np.random.Generator, noise: float = 0.25
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+) -> tuple[Float32s, Float32s, Bools]:
     """(noisy, clean, shadow): smooth seabed with black shadows, and haze plus scatter over it."""
     sector = fan_mask(size)
     ground = ndimage.gaussian_filter(rng.normal(size=(size, size)), size / 24)

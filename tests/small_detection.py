@@ -8,8 +8,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from simnfnd.factory.common.array_types import Array, UInt8s, UInt16s
 from simnfnd.factory.dataset.schema import Pair
 from simnfnd.models.detection.images import LabelledImage, WorkingImage, find_fan
 from tests.small_dataset import add_shard
@@ -18,7 +18,7 @@ HEIGHT = 96
 WIDTH = 64
 CLASSES = ("Tire", "Bottle")
 
-Drawn = tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16], list[list[int]], list[int]]
+Drawn = tuple[UInt8s, UInt16s, list[list[int]], list[int]]
 
 
 def draw_scene(rng: np.random.Generator, count: int = 2) -> Drawn:
@@ -71,7 +71,7 @@ def write_labelled_dataset(root: Path, train: int = 8, test: int = 2) -> Path:
                 "location": "test", "scene": split, "frame": f"{number:04d}", "variant": 0,
             }  # fmt: skip
             values = image.astype(np.float32) / 255
-            layers: dict[str, npt.NDArray[np.generic]] = {
+            layers: dict[str, Array] = {
                 "segmentation": lookup[instance],
                 "instance": instance,
             }

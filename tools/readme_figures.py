@@ -19,11 +19,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from simnfnd import denoise
 from simnfnd.command import main as simnfnd
 from simnfnd.evaluation.filters.windows import registered_mean
+from simnfnd.factory.common.array_types import Float32s
 from simnfnd.models.recordings.views import frame_image
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,11 +56,10 @@ _CROP_PX = 240
 _GAP_PX = 4
 _CAPTION_PX = 24
 
-Frames = npt.NDArray[np.float32]
 Figures = dict[str, Any]
 
 
-def example_frames() -> Frames:
+def example_frames() -> Float32s:
     """(N, H, W) float32 in 0..1: some frames of the recording that ships."""
     return np.stack([frame_image(EXAMPLE, number)[0] for number in _PROBE_FRAMES])
 
@@ -76,7 +75,7 @@ def probe() -> dict[str, float]:
     reference = _mean_outside(frames, middle)
     lit = reference > _LIT
 
-    def psnr_db(image: Frames) -> float:
+    def psnr_db(image: Float32s) -> float:
         return round(float(-10 * np.log10(((image - reference)[lit] ** 2).mean())), 3)
 
     single = denoise(frames[middle])
@@ -267,7 +266,7 @@ def draw_image() -> None:
     cv2.imwrite(str(IMAGE), sheet)
 
 
-def _mean_outside(frames: Frames, middle: int) -> Frames:
+def _mean_outside(frames: Float32s, middle: int) -> Float32s:
     """Mean of the frames that no window around one holds."""
     outside = [number for number in range(len(frames)) if abs(number - middle) > _AWAY]
     return np.asarray(frames[outside].mean(axis=0), np.float32)

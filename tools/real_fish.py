@@ -20,11 +20,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from simnfnd import open_recording
 from simnfnd.command import main as simnfnd
 from simnfnd.evaluation.filters.windows import shift_px
+from simnfnd.factory.common.array_types import Float32s, UInt8s
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGE = ROOT / "docs" / "images" / "real-fish.png"
@@ -43,8 +43,6 @@ _FEWEST_COLUMNS = 48  # of an image; fewer are beams
 _DARK = 24
 _LIGHT = 235
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-
-Frames = npt.NDArray[np.float32]
 
 
 class Place(NamedTuple):
@@ -128,7 +126,7 @@ def subject_of(path: Path) -> Subject:
     return Subject(path, _FAN_GRAIN_PX, 6.0, fish, ())
 
 
-def grey_frames(path: Path) -> Frames:
+def grey_frames(path: Path) -> Float32s:
     """(T, H, W) float32 in 0..255: a recording's frames as they are stored."""
     with open_recording(path) as recording:
         frames = np.stack([shot.frame.samples for shot in recording])
@@ -137,7 +135,7 @@ def grey_frames(path: Path) -> Frames:
     return frames.astype(np.float32)
 
 
-def denoised_frames(path: Path, folder: Path, frame_count: str) -> Frames:
+def denoised_frames(path: Path, folder: Path, frame_count: str) -> Float32s:
     """What `simnfnd denoise` makes of a recording; kept in a folder, and taken from there."""
     folder.mkdir(parents=True, exist_ok=True)
     result = folder / path.name
@@ -148,7 +146,7 @@ def denoised_frames(path: Path, folder: Path, frame_count: str) -> Frames:
     return grey_frames(result)
 
 
-def registered(frames: Frames) -> Frames:
+def registered(frames: Float32s) -> Float32s:
     """Frames laid over the first by whole pixels."""
     shifts = [shift_px(frames[0], frame) for frame in frames]
     return np.stack(
@@ -159,7 +157,7 @@ def registered(frames: Frames) -> Frames:
     )
 
 
-def moving_parts(frames: Frames, grain_px: tuple[float, float]) -> Frames:
+def moving_parts(frames: Float32s, grain_px: tuple[float, float]) -> Float32s:
     """(T, H, W) frames minus their background, blurred as wide as the grain."""
     background = np.median(frames, axis=0)
     along_rows, along_columns = grain_px
@@ -171,7 +169,7 @@ def moving_parts(frames: Frames, grain_px: tuple[float, float]) -> Frames:
     )
 
 
-def echoes_of(subject: Subject, recorded: Frames, ways: dict[str, Frames]) -> list[Echo]:
+def echoes_of(subject: Subject, recorded: Float32s, ways: dict[str, Float32s]) -> list[Echo]:
     """The moving echoes of a recording, in the order of time."""
     moving = moving_parts(recorded, subject.grain_px)
     left = {name: moving_parts(frames, subject.grain_px) for name, frames in ways.items()}
@@ -216,8 +214,8 @@ def say(subject: Subject, echoes: Sequence[Echo]) -> None:
 
 
 def crop_row(
-    name: str, frames: Frames, place: Place, brightest: float, echoes: Sequence[Echo]
-) -> npt.NDArray[np.uint8]:
+    name: str, frames: Float32s, place: Place, brightest: float, echoes: Sequence[Echo]
+) -> UInt8s:
     """One way's crops side by side, a mark below each moving echo."""
     rows, columns = (slice(side.start, side.stop) for side in (place.rows, place.columns))
     across = _CROP_WIDTH_PX / len(place.columns)
@@ -242,8 +240,8 @@ def crop_row(
 
 
 def block(
-    subject: Subject, place: Place, stacks: dict[str, Frames], echoes: Sequence[Echo]
-) -> npt.NDArray[np.uint8]:
+    subject: Subject, place: Place, stacks: dict[str, Float32s], echoes: Sequence[Echo]
+) -> UInt8s:
     """A caption, and below it the crops as recorded and of each way."""
     shown = stacks["recorded"][place.frames.start : place.frames.stop]
     shown = shown[:, place.rows.start : place.rows.stop, place.columns.start : place.columns.stop]

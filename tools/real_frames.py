@@ -10,9 +10,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from simnfnd import denoise, open_recording
+from simnfnd.factory.common.array_types import Float32s, UInt8s
 from simnfnd.models.recordings.views import frame_image
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,10 +27,8 @@ _BACKGROUND = 24
 _LIGHT = 235
 _WHITE_PERCENTILE = 99.8
 
-Grey = npt.NDArray[np.float32]
 
-
-def views(path: Path, number: int) -> dict[str, Grey]:
+def views(path: Path, number: int) -> dict[str, Float32s]:
     """Caption -> (H, W) float32 in 0..1, cut to what is insonified."""
     with open_recording(path) as recording:
         frame_count = len(recording)
@@ -51,7 +49,7 @@ def views(path: Path, number: int) -> dict[str, Grey]:
     return {caption: np.clip(image[shown] / white, 0, 1) for caption, image in images.items()}
 
 
-def captioned(image: Grey, caption: str) -> npt.NDArray[np.uint8]:
+def captioned(image: Float32s, caption: str) -> UInt8s:
     """An image at the sheet's height, below its caption."""
     height, width = image.shape
     size = round(width * _HEIGHT_PX / height), _HEIGHT_PX

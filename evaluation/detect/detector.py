@@ -12,14 +12,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import maximum_filter
 
-from ..metrics.fidelity import Mask
+from ...factory.common.array_types import Bools, Float64s, Int64s
 from ..metrics.measure import Grey
 from .targets import Frames, Track, blurred, ellipse
-
-Values = npt.NDArray[np.float64]
 
 _GAP_PX = 3.0
 _RING_PX = 10.0
@@ -48,12 +45,12 @@ class Responses:
     frame_count: frames of the twin.
     """
 
-    track: npt.NDArray[np.int64]
-    present: Values
-    absent: Values
-    change: Values
-    alarm_frame: npt.NDArray[np.int64]
-    alarm_change: Values
+    track: Int64s
+    present: Float64s
+    absent: Float64s
+    change: Float64s
+    alarm_frame: Int64s
+    alarm_change: Float64s
     frame_count: int
 
 
@@ -61,8 +58,8 @@ def responses_of(
     with_targets: Frames,
     without: Frames,
     tracks: Sequence[Track],
-    insonified: Mask,
-    motion: Mask,
+    insonified: Bools,
+    motion: Bools,
     judged: range,
 ) -> Responses:
     """The answers on a denoised sequence and its denoised twin, (N, H, W) each.
@@ -112,7 +109,7 @@ def matched_filter(image: Grey, track: Track, y: float, x: float) -> float:
     return float((crop * inside).sum() / inside.sum() - crop[ring].mean())
 
 
-def changes(frames: Frames, insonified: Mask) -> Frames:
+def changes(frames: Frames, insonified: Bools) -> Frames:
     """(N, H, W): each frame minus the mean of the frames distant in time, smoothed."""
     count = len(frames)
     total = frames.sum(axis=0, dtype=np.float64)
@@ -124,7 +121,7 @@ def changes(frames: Frames, insonified: Mask) -> Frames:
     return result
 
 
-def usual_change(change: Frames, insonified: Mask) -> Grey:
+def usual_change(change: Frames, insonified: Bools) -> Grey:
     """(H, W): robust standard deviation of the change in time, smoothed, with a floor."""
     # 1.4826: standard deviation of a normal distribution by its median absolute value.
     deviation = np.float32(1.4826) * np.median(np.abs(change), axis=0)
@@ -133,7 +130,7 @@ def usual_change(change: Frames, insonified: Mask) -> Grey:
     return np.asarray(np.maximum(usual, floor) + _TINY, np.float32)
 
 
-def real_motion(recorded: Frames, insonified: Mask) -> Mask:
+def real_motion(recorded: Frames, insonified: Bools) -> Bools:
     """(N, H, W) bool: neighbourhoods of everything that moves in the recording itself."""
     change = changes(recorded, insonified)
     usual = usual_change(change, insonified)
@@ -150,10 +147,10 @@ def _greatest_change(change: Grey, y: float, x: float) -> float:
     return float(around.max())
 
 
-def _alarms(change: Frames, insonified: Mask, motion: Mask) -> tuple[npt.NDArray[np.int64], Values]:
+def _alarms(change: Frames, insonified: Bools, motion: Bools) -> tuple[Int64s, Float64s]:
     """Frame and height of every peak of the change that is not real motion."""
-    numbers: list[npt.NDArray[np.int64]] = []
-    heights: list[Values] = []
+    numbers: list[Int64s] = []
+    heights: list[Float64s] = []
     for number, frame in enumerate(change):
         is_peak = (maximum_filter(frame, _PEAK_PX) == frame) & (frame > 0)
         frame_heights = frame[is_peak & insonified & ~motion[number]].astype(np.float64)

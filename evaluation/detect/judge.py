@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
 from ...factory.common.progress import progress_bar
 from ...factory.common.seeds import stream
@@ -18,7 +19,6 @@ from ..judging.learned import learned_notes
 from ..judging.methods import baselines_of, networks_at, reason, shown
 from ..judging.recorded import Stretch
 from ..judging.settings import DetectSettings
-from ..metrics.fidelity import Mask
 from ..metrics.measure import Figures, Grey, ratio_figures
 from ..metrics.statistics import evenly
 from .detector import Responses, real_motion, responses_of
@@ -43,8 +43,8 @@ class TwinSequences:
     full_scale: int
     geometry: FanGeometry | None
     tracks: tuple[Track, ...]
-    insonified: Mask
-    motion: Mask
+    insonified: Bools
+    motion: Bools
 
     @property
     def judged(self) -> range:

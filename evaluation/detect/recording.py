@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.common.array_types import Bools, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.static import find_groups
 from ...models.recordings.views import presentation_of
 from ..judging.recorded import Stretch
-from ..metrics.fidelity import Mask
 from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
 from ..real.groups import sector_of
@@ -42,7 +42,7 @@ class StaticRecording:
 
     name: str
     frames: Frames
-    insonified: Mask
+    insonified: Bools
     geometry: FanGeometry | None
     full_scale: int
 
@@ -100,7 +100,7 @@ def _find_fan(frames: Frames) -> FanGeometry | None:
     return None
 
 
-def insonified_area(frames: Frames) -> Mask:
+def insonified_area(frames: Frames) -> Bools:
     """(H, W) bool: neither dark nor saturated, with a margin."""
     level = blurred(frames.mean(axis=0), _INSONIFIED_SIGMA_PX)
     lowest, highest = _INSONIFIED_LEVELS
@@ -108,10 +108,10 @@ def insonified_area(frames: Frames) -> Mask:
     return cv2.erode(is_insonified, np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)) > 0
 
 
-def check_static(name: str, frames: Frames, sector: Mask) -> None:
+def check_static(name: str, frames: Frames, sector: Bools) -> None:
     """Raises FactoryError for a recording whose sonar moves."""
     numbers = evenly(range(len(frames)), _COMPARED_FRAMES)
-    compared: Sequence[npt.NDArray[np.float32]] = [frames[number] for number in numbers]
+    compared: Sequence[Float32s] = [frames[number] for number in numbers]
     sectors = [sector] * len(numbers)
     least = int(np.ceil(_SAME_SHARE * len(numbers)))
     if not find_groups(compared, sectors, least=least, furthest_px=_FURTHEST_PX):

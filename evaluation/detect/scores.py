@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array, Float64s
 from ...factory.common.seeds import stream
 from ..metrics.statistics import FigureEstimate
 from .detector import Responses
 from .targets import TargetClass, Track
-
-Values = npt.NDArray[np.float64]
 
 CURVE_ALARMS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
 """False alarms per frame at which the curve of detections is taken."""
@@ -113,17 +111,17 @@ def threshold_of(responses: Responses, alarms_per_frame: float) -> float:
     return float(np.partition(responses.alarm_change, -count)[-count])
 
 
-def auc_of(present: Values, absent: Values) -> float:
+def auc_of(present: Float64s, absent: Float64s) -> float:
     """Area under the ROC curve: how often a value of `present` exceeds one of `absent`."""
     return float(_wins(present, absent) / (len(present) * len(absent)))
 
 
-def _class_figures(class_draws: Values) -> ClassFigures:
+def _class_figures(class_draws: Float64s) -> ClassFigures:
     """Means over recordings.  class_draws: (figures, recordings, draws) of one class."""
     return ClassFigures(*(_estimate(_mean(figure_draws)) for figure_draws in class_draws))
 
 
-def _overall(class_draws: Values) -> FigureEstimate:
+def _overall(class_draws: Float64s) -> FigureEstimate:
     """Mean over recordings, then over classes.  class_draws: (classes, recordings, draws)."""
     class_means = [_mean(recording_draws) for recording_draws in class_draws]
     return _estimate(_mean(np.stack(class_means)))
@@ -139,7 +137,7 @@ def _tracks_of(answers: Answers, target: TargetClass) -> list[int]:
     ]
 
 
-def _draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Values:
+def _draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Float64s:
     """(1 + resamples, count): how often each of `count` tracks or blocks is drawn.
 
     The first row is the original sample: each once.  The other rows are bootstrap resamples.
@@ -150,7 +148,7 @@ def _draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Value
     return np.vstack([np.ones(count), resampled])
 
 
-def _wins(present: Values, absent: Values) -> float:
+def _wins(present: Float64s, absent: Float64s) -> float:
     """Number of pairs in which `present` is greater, ties counted half."""
     ordered = np.sort(absent)
     below = np.searchsorted(ordered, present, "left")
@@ -158,7 +156,7 @@ def _wins(present: Values, absent: Values) -> float:
     return float((below + below_or_equal).sum() / 2)
 
 
-def _auc(responses: Responses, tracks: Sequence[int], weights: Values) -> Values:
+def _auc(responses: Responses, tracks: Sequence[int], weights: Float64s) -> Float64s:
     """AUC per draw: within-track and between-track AUC, mixed in the original sample's proportions.
 
     Pairs within a track are easier.  A track that is drawn twice is not compared with its copy,
@@ -182,7 +180,7 @@ def _auc(responses: Responses, tracks: Sequence[int], weights: Values) -> Values
     return np.asarray(within_share * within + (1 - within_share) * between)
 
 
-def _auc_within_tracks(wins: Values, pairs: Values, weights: Values) -> Values:
+def _auc_within_tracks(wins: Float64s, pairs: Float64s, weights: Float64s) -> Float64s:
     """AUC per draw over pairs of a target and the twin of the same track.
 
     wins, pairs: (tracks, tracks), target's track by twin's.  weights: (draws, tracks).
@@ -190,7 +188,7 @@ def _auc_within_tracks(wins: Values, pairs: Values, weights: Values) -> Values:
     return np.asarray((weights @ np.diag(wins)) / (weights @ np.diag(pairs)))
 
 
-def _auc_between_tracks(wins: Values, pairs: Values, weights: Values) -> Values:
+def _auc_between_tracks(wins: Float64s, pairs: Float64s, weights: Float64s) -> Float64s:
     """AUC per draw over pairs of a target and the twin of another track.
 
     Arguments as of `_auc_within_tracks`.  NaN in draws of a single track.
@@ -202,19 +200,19 @@ def _auc_between_tracks(wins: Values, pairs: Values, weights: Values) -> Values:
     return np.asarray(win_count / np.where(pair_count == 0, np.nan, pair_count))
 
 
-def _contrast(answers: Answers, tracks: Sequence[int], weights: Values) -> Values:
+def _contrast(answers: Answers, tracks: Sequence[int], weights: Float64s) -> Float64s:
     """Retained part of the recorded contrast, per draw.  weights: (draws, tracks)."""
     retained = weights @ _track_contrasts(answers.denoised, tracks)
     recorded = weights @ _track_contrasts(answers.recorded, tracks)
     return np.asarray(retained / np.where(recorded == 0, np.nan, recorded))
 
 
-def _track_contrasts(responses: Responses, tracks: Sequence[int]) -> Values:
+def _track_contrasts(responses: Responses, tracks: Sequence[int]) -> Float64s:
     """(tracks,) what the targets add to the matched filter, summed over each track."""
     return _sums(responses, responses.present - responses.absent, tracks)
 
 
-def _detection(responses: Responses, tracks: Sequence[int], weights: Values) -> Values:
+def _detection(responses: Responses, tracks: Sequence[int], weights: Float64s) -> Float64s:
     """Share of the sightings found at one false alarm per frame, per draw."""
     # A target has to exceed the lowest alarm: a method that erases everything changes nothing, has
     # a threshold of 0, and must not find a target in a change of 0.
@@ -224,7 +222,7 @@ def _detection(responses: Responses, tracks: Sequence[int], weights: Values) -> 
     return np.asarray((weights @ detections) / (weights @ sightings))
 
 
-def _sums(responses: Responses, values: npt.NDArray[np.generic], tracks: Sequence[int]) -> Values:
+def _sums(responses: Responses, values: Array, tracks: Sequence[int]) -> Float64s:
     """(tracks,) sum over the sightings of each track."""
     by_track = np.bincount(responses.track, weights=values, minlength=max(tracks) + 1)
     return np.asarray(by_track[list(tracks)], np.float64)
@@ -280,7 +278,7 @@ def _roc_curve(recordings: Sequence[Answers], classes: Sequence[TargetClass]) ->
     return tuple(np.mean(curves, axis=0).tolist())
 
 
-def _mean(draws: Values) -> Values:
+def _mean(draws: Float64s) -> Float64s:
     """(draws,) mean of (N, draws) over those of the N whose original sample has a value."""
     has_value = ~np.isnan(draws[:, 0])
     if not has_value.any():
@@ -288,7 +286,7 @@ def _mean(draws: Values) -> Values:
     return np.asarray(draws[has_value].mean(axis=0))
 
 
-def _estimate(draws: Values) -> FigureEstimate:
+def _estimate(draws: Float64s) -> FigureEstimate:
     """Estimate from `draws[0]`, the original sample; the interval comes from the resamples."""
     value = draws[0]
     resampled = draws[1:]

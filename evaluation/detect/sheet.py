@@ -6,13 +6,11 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import UInt8s
 from ..metrics.measure import Grey
 from .judge import SightingExample
 from .targets import Sighting, Track, ellipse
-
-Pixels = npt.NDArray[np.uint8]
 
 _REACH_PX = 24  # from a target to the edge of its crop
 _ENLARGEMENT = 3
@@ -34,7 +32,7 @@ def crop_sheet(examples: Sequence[SightingExample], labels: Sequence[str]) -> by
     columns = ["target (outlined)", *labels]
     width = _GAP_PX + len(columns) * (side + _GAP_PX)
     height = _CAPTION_PX + len(examples) * (2 * side + _GAP_PX + _CAPTION_PX)
-    sheet: Pixels = np.full((height, width, 3), 24, np.uint8)
+    sheet: UInt8s = np.full((height, width, 3), 24, np.uint8)
     for column, label in enumerate(columns):
         _write_caption(sheet, label, _GAP_PX + column * (side + _GAP_PX), 4, side)
     for number, example in enumerate(examples):
@@ -52,7 +50,7 @@ def crop_sheet(examples: Sequence[SightingExample], labels: Sequence[str]) -> by
     return content.tobytes()
 
 
-def _panels(example: SightingExample, labels: Sequence[str]) -> tuple[list[Pixels], list[Pixels]]:
+def _panels(example: SightingExample, labels: Sequence[str]) -> tuple[list[UInt8s], list[UInt8s]]:
     """The enlarged crops of an example, and what the target adds to each."""
     crops = [_crop(example.images[label].with_targets, example.sighting) for label in labels]
     twins = [_crop(example.images[label].without, example.sighting) for label in labels]
@@ -77,13 +75,13 @@ def _crop(image: Grey, sighting: Sighting) -> Grey:
     return padded[top : top + 2 * _REACH_PX + 1, left : left + 2 * _REACH_PX + 1]
 
 
-def _grey(crop: Grey, low: float, high: float) -> Pixels:
+def _grey(crop: Grey, low: float, high: float) -> UInt8s:
     """A crop as grey levels; `low` is black and `high` white."""
     scaled = np.clip((crop - low) / max(high - low, 1e-6), 0, 1)
     return np.asarray(np.rint(255 * scaled), np.uint8)
 
 
-def _enlarged(crop: Pixels) -> Pixels:
+def _enlarged(crop: UInt8s) -> UInt8s:
     """(H, W, 3): a grey crop in colour, enlarged."""
     large = cv2.resize(
         crop, None, fx=_ENLARGEMENT, fy=_ENLARGEMENT, interpolation=cv2.INTER_NEAREST
@@ -91,7 +89,7 @@ def _enlarged(crop: Pixels) -> Pixels:
     return np.repeat(np.asarray(large, np.uint8)[..., None], 3, axis=2)
 
 
-def _outlined(crop: Pixels, track: Track, sighting: Sighting) -> Pixels:
+def _outlined(crop: UInt8s, track: Track, sighting: Sighting) -> UInt8s:
     """The crop enlarged, with a line around the target."""
     panel = np.ascontiguousarray(_enlarged(crop))
     centre_y = _ENLARGEMENT * (_REACH_PX + sighting.y % 1 + 0.5)
@@ -105,7 +103,7 @@ def _outlined(crop: Pixels, track: Track, sighting: Sighting) -> Pixels:
     return panel
 
 
-def _write_caption(sheet: Pixels, label: str, left: int, top: int, width: int) -> None:
+def _write_caption(sheet: UInt8s, label: str, left: int, top: int, width: int) -> None:
     """A caption in one line or two, as wide as its column."""
     lines = [""]
     for word in label.split():

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..metrics.fidelity import Mask
+from ...factory.common.array_types import Bools, Float32s
 from ..metrics.measure import Grey
 
-Frames = npt.NDArray[np.float32]
+Frames = Float32s
 """(N, H, W) in 0..1."""
 
 _SCENE_PX = 4.0
@@ -128,7 +128,7 @@ def ellipse(
 
 
 def draw_tracks(
-    insonified: Mask, frame_count: int, plan: TrackPlan, rng: np.random.Generator
+    insonified: Bools, frame_count: int, plan: TrackPlan, rng: np.random.Generator
 ) -> list[Track]:
     """Tracks that stay in the insonified area and apart from each other.
 
@@ -153,7 +153,7 @@ def draw_tracks(
 
 
 def insert_targets(
-    frames: Frames, insonified: Mask, tracks: Sequence[Track], rng: np.random.Generator
+    frames: Frames, insonified: Bools, tracks: Sequence[Track], rng: np.random.Generator
 ) -> Insertion:
     """The recording with the targets of all tracks, and its twin."""
     scene = blurred(frames.mean(axis=0), _SCENE_PX)
@@ -203,7 +203,7 @@ def _straight_track(
     return Track(target, angle, sightings)
 
 
-def _stays_inside(track: Track, insonified: Mask) -> bool:
+def _stays_inside(track: Track, insonified: Bools) -> bool:
     height, width = insonified.shape
     return all(
         0 <= sighting.y < height

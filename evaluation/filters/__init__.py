@@ -6,12 +6,11 @@ import difflib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ...factory.common import extensions
+from ...factory.common.array_types import Array, Floats
 from ...factory.common.errors import FactoryError
 from ..metrics.measure import Grey
 from .bm3d import bm3d
@@ -48,7 +47,7 @@ class Baseline:
     """
 
     name: str
-    function: Callable[..., npt.NDArray[np.floating]]
+    function: Callable[..., Floats]
     default: Mapping[str, Number]
     grid: Mapping[str, tuple[Number, ...]]
     source: str
@@ -58,7 +57,7 @@ class Baseline:
         combinations = itertools.product(*self.grid.values())
         return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
 
-    def __call__(self, image: npt.NDArray[Any], parameters: Mapping[str, Number]) -> Grey:
+    def __call__(self, image: Array, parameters: Mapping[str, Number]) -> Grey:
         """The denoised image, (H, W) float32 clipped to 0..1.
 
         Raises FactoryError when the method gives another shape or a value that is no number.
@@ -67,7 +66,7 @@ class Baseline:
         return checked(self.name, np.asarray(self.function(image, **parameters)), image)
 
 
-def checked(name: str, result: npt.NDArray[Any], image: Grey) -> Grey:
+def checked(name: str, result: Array, image: Grey) -> Grey:
     """What a method made of an image, float32 clipped to 0..1.  Raises FactoryError."""
     if result.shape != image.shape or not np.isfinite(result).all():
         raise FactoryError(f"{name}: gave {result.shape} or NaN for an image of {image.shape}")

@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Float32s
 from ..metrics.measure import Grey
-
-Floats = npt.NDArray[np.float32]
 
 _BLOCK = 8
 _STEP = 3
@@ -43,7 +41,9 @@ def bm3d(image: Grey, sigma: float) -> Grey:
     kaiser = np.kaiser(_BLOCK, 2).astype(np.float32)
     window = np.outer(kaiser, kaiser)
 
-    def filtered(compared: Floats, pilot: Floats, tau: float, stack: int, wiener: bool) -> Floats:
+    def filtered(
+        compared: Float32s, pilot: Float32s, tau: float, stack: int, wiener: bool
+    ) -> Float32s:
         """One pass over (R, C, 64) coefficients -> (R + 7, C + 7) image."""
         limit = np.float32(tau * _BLOCK**2)
         noise = np.float32(sigma)
@@ -58,7 +58,7 @@ def bm3d(image: Grey, sigma: float) -> Grey:
     return final[_BLOCK : _BLOCK + height, _BLOCK : _BLOCK + width]
 
 
-def _dct() -> Floats:
+def _dct() -> Float32s:
     """(8, 8) orthonormal DCT-II, one basis vector a row."""
     k, n = np.mgrid[0:_BLOCK, 0:_BLOCK]
     basis = np.cos(np.pi * (2 * n + 1) * k / (2 * _BLOCK)) * np.sqrt(2 / _BLOCK)
@@ -66,7 +66,7 @@ def _dct() -> Floats:
     return np.asarray(basis, dtype=np.float32)
 
 
-def _all_blocks(image: Floats) -> Floats:
+def _all_blocks(image: Float32s) -> Float32s:
     """(H - 7, W - 7, 64) DCT of the block at every pixel."""
     windows = np.lib.stride_tricks.sliding_window_view(image, (_BLOCK, _BLOCK))
     basis = _dct()

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
+from ...factory.common.array_types import Float32s, Float64s, UInt8s
 from ..metrics.measure import Grey
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
 
 _WHITE = np.float32(255)
 _TINY = 1e-6  # of full scale: keeps black regions from dividing by zero
@@ -69,7 +66,7 @@ def total_variation(image: Grey, weight: float) -> Grey:
     return np.asarray(result, dtype=np.float32)
 
 
-def _levels(image: Grey) -> npt.NDArray[np.uint8]:
+def _levels(image: Grey) -> UInt8s:
     """The nearest of 256 levels."""
     return np.asarray(np.rint(np.clip(image, 0, 1) * 255), dtype=np.uint8)
 
@@ -86,7 +83,7 @@ def wavelet(image: Grey, strength: float, levels: int) -> Grey:
     return rest[margin : margin + height, margin : margin + width]
 
 
-def _details(smooth: Floats, strength: float, level: int, levels: int) -> Floats:
+def _details(smooth: Float32s, strength: float, level: int, levels: int) -> Float32s:
     """Split off one level, shrink its details, go on with the rest and put both together."""
     if level == levels:
         return smooth
@@ -101,13 +98,13 @@ def _details(smooth: Floats, strength: float, level: int, levels: int) -> Floats
     return _joined(_joined(rest, low_high, step, 1), _joined(high_low, high_high, step, 1), step, 0)
 
 
-def _split(values: Floats, step: int, axis: int) -> tuple[Floats, Floats]:
+def _split(values: Float32s, step: int, axis: int) -> tuple[Float32s, Float32s]:
     """Half sum and half difference of each pixel and the one `step` before it, all round."""
     before = np.roll(values, step, axis)
     return (values + before) / 2, (values - before) / 2
 
 
-def _joined(low: Floats, high: Floats, step: int, axis: int) -> Floats:
+def _joined(low: Float32s, high: Float32s, step: int, axis: int) -> Float32s:
     """The mean of the two ways back: each pixel is in a pair as the later and as the earlier."""
     return ((low + high) + np.roll(low - high, -step, axis)) / 2
 
@@ -166,7 +163,7 @@ def srad(image: Grey, iterations: int, initial_cv: float, step: float, decay: fl
     return np.asarray(np.where(values <= 1e-3, 0, values), dtype=np.float32)
 
 
-def _statistics(image: Grey, size: int) -> tuple[Doubles, Doubles]:
+def _statistics(image: Grey, size: int) -> tuple[Float64s, Float64s]:
     """Local mean and squared coefficient of variation."""
     values = image.astype(np.float64)
     mean = ndimage.uniform_filter(values, size, mode="nearest")
@@ -174,19 +171,19 @@ def _statistics(image: Grey, size: int) -> tuple[Doubles, Doubles]:
     return mean, variance / np.maximum(mean, _TINY) ** 2
 
 
-def _local(image: Grey, size: int, noise_cv: float) -> tuple[Doubles, Doubles]:
+def _local(image: Grey, size: int, noise_cv: float) -> tuple[Float64s, Float64s]:
     """Local mean, and 1 - Cu^2 / Ci^2: 0 (all is noise) where nothing varies."""
     mean, squared_cv = _statistics(image, size)
     some = squared_cv > 1e-12
     return mean, np.asarray(1 - np.where(some, noise_cv**2 / np.where(some, squared_cv, 1), 1.0))
 
 
-def _between(image: Grey, mean: Doubles, weight: Doubles) -> Grey:
+def _between(image: Grey, mean: Float64s, weight: Float64s) -> Grey:
     mixed = mean + np.clip(weight, 0, 1) * (image - mean)
     return np.asarray(mixed, dtype=np.float32)
 
 
-def _differences(values: Doubles) -> tuple[Doubles, Doubles, Doubles, Doubles]:
+def _differences(values: Float64s) -> tuple[Float64s, Float64s, Float64s, Float64s]:
     """Neighbour minus pixel to the north, south, west and east, 0 across the border."""
     around = np.pad(values, 1, mode="edge")
     return (

@@ -16,8 +16,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Bools, Floats
 from ...factory.common.errors import FactoryError
 from ...factory.dataset import PairDataset
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -170,7 +170,7 @@ def _with_geometry(root: Path) -> tuple[tuple[RecordedImage, ...], tuple[str, ..
     return tuple(shots), (f"Marine Debris Dataset: {mix}",)
 
 
-def mdd_geometry(image: npt.NDArray[np.floating]) -> str | None:
+def mdd_geometry(image: Floats) -> str | None:
     """Which fan of the Marine Debris Dataset an image shows, by its black border; None: neither.
 
     The original download does not say it, so it is looked up in each image.
@@ -186,7 +186,7 @@ def mdd_geometry(image: npt.NDArray[np.floating]) -> str | None:
     return best if agreement[best] >= _SAME else None
 
 
-def outline(image: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+def outline(image: Floats) -> Bools:
     """(H, W) bool: what lies between the first and the last lit pixel of each row.
 
     A dark image has black pixels inside, too: its outline is what counts.

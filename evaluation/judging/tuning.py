@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import explain_os_errors, write_atomically
 from ...factory.common.progress import progress_bar
@@ -51,7 +51,7 @@ class TuningImage:
 
     noisy: Grey
     reference: Grey
-    mask: npt.NDArray[np.bool_] | None = None
+    mask: Bools | None = None
 
 
 @dataclass(frozen=True, eq=False)

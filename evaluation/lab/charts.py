@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.common.array_types import Float32s, Float64s, Floats, UInt8s
 from ..metrics.features import autocorrelation, grain_of
 
-Grey = npt.NDArray[np.uint8]
 _BINS = 64
 _RINGS = 48
 _LAGS = 24
@@ -35,7 +35,7 @@ class Charts(NamedTuple):
     grain_columns: list[float]
 
 
-def charts_of(grey: Grey) -> Charts:
+def charts_of(grey: UInt8s) -> Charts:
     """The curves of an (H, W) image; those that it is too small for are empty."""
     lit = grey[grey > 0]
     counts = np.bincount(lit // (256 // _BINS), minlength=_BINS)
@@ -49,13 +49,13 @@ def charts_of(grey: Grey) -> Charts:
     return Charts(histogram, _plain(radial_spectrum_db(middle)), rows, columns)
 
 
-def _middle(grey: Grey) -> npt.NDArray[np.float32]:
+def _middle(grey: UInt8s) -> Float32s:
     rows, columns = grey.shape
     middle = grey[rows // 4 : rows - rows // 4, columns // 4 : columns - columns // 4]
     return np.asarray(middle, np.float32) / np.float32(255)
 
 
-def radial_spectrum_db(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+def radial_spectrum_db(image: Float32s) -> Float64s:
     """(48,) power in rings of equal width up to half a cycle a pixel, over their mean, dB."""
     window, rings, sizes = _rings(*image.shape)
     power = np.abs(np.fft.rfft2((image - image.mean()) * window)) ** 2
@@ -65,9 +65,7 @@ def radial_spectrum_db(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float64
 
 
 @lru_cache(maxsize=4)
-def _rings(
-    rows: int, columns: int
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+def _rings(rows: int, columns: int) -> tuple[Float32s, npt.NDArray[np.intp], Float64s]:
     """Hann window, ring of each frequency (48: beyond them), and frequencies in each ring."""
     window = np.outer(np.hanning(rows), np.hanning(columns)).astype(np.float32)
     cycles = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns)[None, :])
@@ -76,12 +74,12 @@ def _rings(
     return window, rings, np.maximum(sizes, 1).astype(np.float64)
 
 
-def _normalised(correlation: npt.NDArray[np.float64]) -> list[float]:
+def _normalised(correlation: Float64s) -> list[float]:
     """1 at lag 0; empty for an image without any grain."""
     if correlation[0] <= 0:
         return []
     return _plain(correlation[:_LAGS] / correlation[0])
 
 
-def _plain(values: npt.NDArray[np.floating]) -> list[float]:
+def _plain(values: Floats) -> list[float]:
     return [round(float(value), _DECIMALS) for value in values]

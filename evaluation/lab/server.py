@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from ...factory.common.array_types import Array, UInt8s
 from ...factory.common.errors import FactoryError
 from ...factory.common.settings import STRICT, build
 from ...factory.dataset.schema import Pair
@@ -134,7 +134,7 @@ class LabServer(PageServer):
         keys = [parameter.key for parameter in self.session.parameters]
         return self.session.inert(config, keys, request.changes)
 
-    def _right(self, request: Request, pair: Pair, *, is_polar: bool) -> npt.NDArray[np.uint8]:
+    def _right(self, request: Request, pair: Pair, *, is_polar: bool) -> UInt8s:
         if request.right == "clean":
             return _grey(pair.clean)
         if request.right == "unchanged":
@@ -144,7 +144,7 @@ class LabServer(PageServer):
         image = read(request.real, 0)
         return image if image.ndim == 2 else np.asarray(np.rint(image.mean(axis=-1)), np.uint8)
 
-    def _make_unchanged(self, frame: int, variant: int) -> npt.NDArray[np.uint8]:
+    def _make_unchanged(self, frame: int, variant: int) -> UInt8s:
         (pair,) = self.session.pairs({}, frame, (variant,))
         return _grey(pair.noisy)
 
@@ -159,18 +159,18 @@ class LabServer(PageServer):
             self.real.close()
 
 
-def _grey(image: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
+def _grey(image: Array) -> UInt8s:
     """An image of a pair as 8 bits: uint8 as it is, float32 in 0..1 rounded."""
     if image.dtype == np.uint8:
         return np.asarray(image, np.uint8)
     return np.asarray(np.rint(np.asarray(image, np.float32) * 255), np.uint8)
 
 
-def _shown(grey: npt.NDArray[np.uint8]) -> dict[str, Any]:
+def _shown(grey: UInt8s) -> dict[str, Any]:
     return {**_pixels(grey), "charts": charts_of(grey)._asdict()}
 
 
-def _pixels(grey: npt.NDArray[np.uint8]) -> dict[str, Any]:
+def _pixels(grey: UInt8s) -> dict[str, Any]:
     """An image for JSON: its size, and its grey values row by row in base 64."""
     height, width = grey.shape
     return {"height": height, "width": width, "grey": base64.b64encode(grey.tobytes()).decode()}

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy import fft
 
-from .fidelity import Values
+from ...factory.common.array_types import Float64s, Floats
 from .measure import Grey
 
 SIDE = 16
@@ -66,7 +65,7 @@ def features_of(polar: Grey, span_m: float | None = None) -> dict[str, float]:
     }
 
 
-def even_windows(polar: npt.NDArray[np.floating]) -> Values:
+def even_windows(polar: Floats) -> Float64s:
     """(N, SIDE * SIDE) grey values of the evenest fifth of the windows; (0, ...) if all is black.
 
     Windows lie on a grid without overlap; those with a mean below 2 % of full scale (clipped to
@@ -88,7 +87,7 @@ def even_windows(polar: npt.NDArray[np.floating]) -> Values:
     return np.asarray(blocks[chosen].reshape(count, SIDE * SIDE))
 
 
-def speckle(polar: npt.NDArray[np.floating]) -> tuple[float, float]:
+def speckle(polar: Floats) -> tuple[float, float]:
     """Medians over the even windows of ENL and scintillation index; NaN without any.
 
     Grey values g are taken as amplitude: ENL = (mean / std)^2 and SI = <g^4> / <g^2>^2 - 1.
@@ -123,7 +122,7 @@ def grain_of(polar: Grey) -> Grey:
     return np.asarray(np.where(spread > 1e-3, residual / np.maximum(spread, 1e-3), 0))
 
 
-def autocorrelation(grain: Grey, axis: int) -> Values:
+def autocorrelation(grain: Grey, axis: int) -> Float64s:
     """At lags 0, 1, ... along an axis, each over the pairs that exist."""
     size = grain.shape[axis]
     power = np.abs(fft.rfft(grain, 2 * size, axis=axis)) ** 2
@@ -131,7 +130,7 @@ def autocorrelation(grain: Grey, axis: int) -> Values:
     return np.asarray(raw / (size - np.arange(len(raw))), dtype=np.float64)
 
 
-def _half(correlation: Values) -> float:
+def _half(correlation: Float64s) -> float:
     if correlation[0] <= 0:
         return float("nan")
     values = correlation / correlation[0]

@@ -10,18 +10,13 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array, Bools, Float64s
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.quality import RADIUS_PX, SsimReference, inner
-
-Image = npt.NDArray[Any]
-Mask = npt.NDArray[np.bool_]
-Values = npt.NDArray[np.float64]
 
 PSNR_CAP_DB = 100.0
 """What a pair of identical images (infinite PSNR) counts as in a mean; see `finite_psnr`."""
@@ -48,8 +43,8 @@ class MetricError(FactoryError, ValueError):
 
 
 def checked_pair(
-    reference: Image, image: Image, data_range: float, *, smallest: int = 1
-) -> tuple[Values, Values]:
+    reference: Array, image: Array, data_range: float, *, smallest: int = 1
+) -> tuple[Float64s, Float64s]:
     """Both images as float64, or MetricError that says why they cannot be compared."""
     if not (math.isfinite(data_range) and data_range > 0):
         raise MetricError(f"data_range must be a positive number, got {data_range}")
@@ -77,7 +72,7 @@ def checked_pair(
     return a, b
 
 
-def checked_mask(mask: Mask, image: npt.NDArray[np.generic]) -> Mask:
+def checked_mask(mask: Bools, image: Array) -> Bools:
     """The mask as bool, or MetricError when it has another shape or no pixel."""
     mask = np.asarray(mask, dtype=bool)
     if mask.shape != image.shape:
@@ -90,17 +85,17 @@ def checked_mask(mask: Mask, image: npt.NDArray[np.generic]) -> Mask:
 class Reference:
     """A clean image (H, W) float64 of a data range; images beside it are checked by the caller."""
 
-    def __init__(self, image: Values, data_range: float) -> None:
+    def __init__(self, image: Float64s, data_range: float) -> None:
         self.image = image
         self.data_range = data_range
         self._ssim = SsimReference(image, data_range)
 
-    def ssim_map(self, image: Values) -> Values:
+    def ssim_map(self, image: Float64s) -> Float64s:
         """(H, W) local structural similarity."""
         luminance, structure = self._ssim.terms(image)
         return np.asarray(luminance * structure)
 
-    def ms_ssim(self, image: Values) -> float:
+    def ms_ssim(self, image: Float64s) -> float:
         """See the function of this name."""
         reference = self
         product = 1.0
@@ -114,7 +109,7 @@ class Reference:
             product *= max(float(inner(terms).mean()), 0.0) ** weight
         return product
 
-    def gms_map(self, image: Values, *, pooled: bool = True) -> Values:
+    def gms_map(self, image: Float64s, *, pooled: bool = True) -> Float64s:
         """(H, W) or (ceil(H/2), ceil(W/2)) gradient magnitude similarity."""
         own_gradients = self._own_gradients[pooled]
         image_gradients = self._gradients(image, pooled)
@@ -123,7 +118,7 @@ class Reference:
             / (image_gradients * image_gradients + (own_gradients * own_gradients + GMSD_C))
         )
 
-    def edges_kept(self, image: Values, mask: Mask | None = None) -> float:
+    def edges_kept(self, image: Float64s, mask: Bools | None = None) -> float:
         """See `edge_preservation`."""
         inside = np.zeros(image.shape, dtype=bool)
         inside[1:-1, 1:-1] = True
@@ -144,14 +139,14 @@ class Reference:
         return Reference(_halved(self.image), self.data_range)
 
     @cached_property
-    def _laplacian(self) -> Values:
+    def _laplacian(self) -> Float64s:
         return np.asarray(cv2.Laplacian(self.image, cv2.CV_64F), np.float64)
 
     @cached_property
-    def _own_gradients(self) -> tuple[Values, Values]:
+    def _own_gradients(self) -> tuple[Float64s, Float64s]:
         return self._gradients(self.image, False), self._gradients(self.image, True)
 
-    def _gradients(self, image: Values, pooled: bool) -> Values:
+    def _gradients(self, image: Float64s, pooled: bool) -> Float64s:
         """Length of the gradient by Prewitt's kernels divided by 3, zeros beyond the border."""
         grey = image * (255.0 / self.data_range)
         if pooled:
@@ -163,7 +158,7 @@ class Reference:
         return np.asarray(cv2.magnitude(parts[0], parts[1]), dtype=np.float64)
 
 
-def psnr(reference: Image, image: Image, *, data_range: float, mask: Mask | None = None) -> float:
+def psnr(reference: Array, image: Array, *, data_range: float, mask: Bools | None = None) -> float:
     """Peak signal-to-noise ratio in dB, 10 log10(data_range^2 / MSE); inf for identical images."""
     a, b = checked_pair(reference, image, data_range)
     squared = np.square(a - b)
@@ -182,13 +177,13 @@ def finite_psnr(value_db: float) -> float:
     return min(value_db, PSNR_CAP_DB)
 
 
-def ssim_map(reference: Image, image: Image, *, data_range: float) -> Values:
+def ssim_map(reference: Array, image: Array, *, data_range: float) -> Float64s:
     """(H, W) local structural similarity; Gaussian window of sigma 1.5, population covariance."""
     a, b = checked_pair(reference, image, data_range, smallest=SSIM_SMALLEST)
     return Reference(a, data_range).ssim_map(b)
 
 
-def ssim(reference: Image, image: Image, *, data_range: float, mask: Mask | None = None) -> float:
+def ssim(reference: Array, image: Array, *, data_range: float, mask: Bools | None = None) -> float:
     """Mean structural similarity (Wang et al. 2004), the border of 5 pixels left out.
 
     It is scikit-image's with gaussian_weights=True, sigma=1.5, use_sample_covariance=False.
@@ -196,7 +191,7 @@ def ssim(reference: Image, image: Image, *, data_range: float, mask: Mask | None
     return mean_ssim(ssim_map(reference, image, data_range=data_range), mask)
 
 
-def mean_ssim(similarity: Values, mask: Mask | None = None) -> float:
+def mean_ssim(similarity: Float64s, mask: Bools | None = None) -> float:
     """The SSIM of an `ssim_map`, over `mask` when one is given."""
     if mask is None:
         return float(inner(similarity).mean())
@@ -206,7 +201,7 @@ def mean_ssim(similarity: Values, mask: Mask | None = None) -> float:
     return float(inner(similarity)[chosen].mean())
 
 
-def ms_ssim(reference: Image, image: Image, *, data_range: float) -> float:
+def ms_ssim(reference: Array, image: Array, *, data_range: float) -> float:
     """Multi-scale SSIM in 0..1, 1 = identical (Wang, Simoncelli and Bovik 2003).
 
     Product over five scales of the mean contrast-structure term to the power MS_SSIM_WEIGHTS; the
@@ -220,12 +215,12 @@ def ms_ssim(reference: Image, image: Image, *, data_range: float) -> float:
 
 
 def gmsd(
-    reference: Image,
-    image: Image,
+    reference: Array,
+    image: Array,
     *,
     data_range: float,
     pooled: bool = True,
-    mask: Mask | None = None,
+    mask: Bools | None = None,
 ) -> float:
     """Gradient magnitude similarity deviation, 0 = identical (Xue et al. 2014).
 
@@ -238,7 +233,7 @@ def gmsd(
     return deviation(similarity, None if mask is None else checked_mask(mask, a), pooled=pooled)
 
 
-def deviation(similarity: Values, mask: Mask | None = None, *, pooled: bool = True) -> float:
+def deviation(similarity: Float64s, mask: Bools | None = None, *, pooled: bool = True) -> float:
     """The GMSD of a `gms_map`: its population standard deviation, over `mask` when one is given.
 
     mask: of the whole image; a pooled block counts when most of its pixels are in the mask.
@@ -252,7 +247,7 @@ def deviation(similarity: Values, mask: Mask | None = None, *, pooled: bool = Tr
 
 
 def edge_preservation(
-    reference: Image, image: Image, *, data_range: float, mask: Mask | None = None
+    reference: Array, image: Array, *, data_range: float, mask: Bools | None = None
 ) -> float:
     """Edge preservation index beta in -1..1, 1 = the edges of the clean image.
 
@@ -265,7 +260,7 @@ def edge_preservation(
 
 
 def shadow_iou(
-    shadow: Mask, image: Image, *, threshold: float, sector: Mask | None = None
+    shadow: Bools, image: Array, *, threshold: float, sector: Bools | None = None
 ) -> float:
     """Intersection over union of the true shadow and of the shadow that `image` shows.
 
@@ -281,25 +276,25 @@ def shadow_iou(
     return 1.0 if union == 0 else int((truth & dark).sum()) / union
 
 
-def shadow_residual(shadow: Mask, image: Image, *, data_range: float) -> float:
+def shadow_residual(shadow: Bools, image: Array, *, data_range: float) -> float:
     """Mean of `image` inside the true shadow as a fraction of the range; NaN without a shadow."""
     inside = image[shadow].astype(np.float64)
     return float(inside.mean() / data_range) if inside.size else math.nan
 
 
-def false_light_rate(shadow: Mask, image: Image, *, threshold: float) -> float:
+def false_light_rate(shadow: Bools, image: Array, *, threshold: float) -> float:
     """Fraction of the true shadow's pixels that `image` lights above `threshold`; NaN without."""
     inside = image[shadow]
     return float((inside > threshold).mean()) if inside.size else math.nan
 
 
-def _halved(values: Values) -> Values:
+def _halved(values: Float64s) -> Float64s:
     """Means of 2x2 blocks, an odd last row or column left out."""
     height, width = (size // 2 * 2 for size in values.shape)
     return _mean_of_blocks(values[:height, :width])
 
 
-def _mean_of_blocks(grey: Values) -> Values:
+def _mean_of_blocks(grey: Float64s) -> Float64s:
     """Mean of 2x2 blocks; an odd size is filled up with a row or column of zeros."""
     height, width = grey.shape
     even = np.pad(grey, ((0, height % 2), (0, width % 2)))

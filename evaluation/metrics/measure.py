@@ -6,18 +6,14 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array, Bools, Float32s, Float64s, Floats, Int64s
 from . import fidelity as metrics
-from .fidelity import Image, Mask, Values
 
-Grey = npt.NDArray[np.float32]
+Grey = Float32s
 """(H, W) in 0..1, 0 = no echo."""
-Floats = npt.NDArray[np.floating]
-Zones = npt.NDArray[np.int64]
 
 Figures = dict[str, float]
 """Metric -> value; NaN where it does not exist.  `_fan`: inside the sonar's sector alone."""
@@ -38,11 +34,11 @@ class PairImages:
 
     noisy: Grey
     clean: Grey
-    shadow: Mask
-    sector: Mask
+    shadow: Bools
+    sector: Bools
 
 
-def sector_of(noisy: npt.NDArray[Any], clean: npt.NDArray[Any], shadow: Mask) -> Mask:
+def sector_of(noisy: Array, clean: Array, shadow: Bools) -> Bools:
     """(H, W) bool: the pixels where the sonar could have measured anything.
 
     The shadow mask is confined to the sector, and every other pixel of it carries an echo.
@@ -90,7 +86,7 @@ class MeasuredPair:
         self.pair = pair
         self.reference = metrics.Reference(pair.clean.astype(np.float64), 1.0)
 
-    def figures(self, image: Image) -> Figures:
+    def figures(self, image: Array) -> Figures:
         """All metrics of an image (H, W) in 0..1; NaN where one does not exist.
 
         Raises MetricError where it cannot be measured.
@@ -125,14 +121,14 @@ class MeasuredPair:
         }
 
     @cached_property
-    def _zones(self) -> Zones:
+    def _zones(self) -> Int64s:
         """The even zones of the clean image, the same for all methods."""
         return homogeneous_zones(self.pair.clean, data_range=1.0, sector=self.pair.sector)
 
 
 def homogeneous_zones(
-    image: Image, *, data_range: float, sector: Mask, share: float = 0.1
-) -> Zones:
+    image: Array, *, data_range: float, sector: Bools, share: float = 0.1
+) -> Int64s:
     """(N, 2) top-left corners of the image's most even blocks, the evenest first.
 
     Blocks of 16x16 pixels on a grid without overlap, wholly inside `sector` and with a mean above
@@ -142,7 +138,7 @@ def homogeneous_zones(
     """
     rows, columns = (size // SIDE for size in image.shape)
 
-    def blocks(array: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def blocks(array: Array) -> Array:
         cut = array[: rows * SIDE, : columns * SIDE].reshape(rows, SIDE, columns, SIDE)
         return cut.transpose(0, 2, 1, 3).reshape(rows * columns, SIDE * SIDE)
 
@@ -159,7 +155,7 @@ def homogeneous_zones(
     return np.asarray(corners, dtype=np.int64)
 
 
-def enl(image: Image, zones: Zones) -> float:
+def enl(image: Array, zones: Int64s) -> float:
     """Median over the zones of the equivalent number of looks, mean^2 / variance.
 
     NaN without zones, inf where all is equal.  Blur alone raises it: never read it alone.
@@ -174,11 +170,11 @@ def enl(image: Image, zones: Zones) -> float:
     variance = blocks.var(axis=1)
     # The variance of a constant is rounding alone.
     some = variance > 1e-20 * squared
-    looks: Values = np.where(some, squared / np.where(some, variance, 1.0), math.inf)
+    looks: Float64s = np.where(some, squared / np.where(some, variance, 1.0), math.inf)
     return float(np.median(looks))
 
 
-def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
+def contrast_to_noise(image: Array, bright: Bools, dark: Bools) -> float:
     """CNR of two regions, |m1 - m2| / sqrt(v1 + v2) with population variances (linear, not dB).
 
     Here `bright` is the insonified seabed and `dark` the true shadow.  NaN when a region is empty,
@@ -196,7 +192,7 @@ def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
     return difference / noise
 
 
-def ratio_figures(noisy: Image, denoised: Image, region: Mask | None = None) -> Figures:
+def ratio_figures(noisy: Array, denoised: Array, region: Bools | None = None) -> Figures:
     """Mean, variance and spatial correlation of the ratio image, noisy / denoised.
 
     noisy, denoised: in 0..1.  region: what counts; None: all.  Pixels where denoised is below 1 %
@@ -224,7 +220,7 @@ def ratio_figures(noisy: Image, denoised: Image, region: Mask | None = None) -> 
     }
 
 
-def _correlation(values: Values, others: Values, mask: Mask) -> float:
+def _correlation(values: Float64s, others: Float64s, mask: Bools) -> float:
     """Pearson's; NaN where nothing varies."""
     first = values[mask] - values[mask].mean() if mask.any() else np.zeros(0)
     second = others[mask] - others[mask].mean() if mask.any() else np.zeros(0)

@@ -12,9 +12,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ...factory.common import extensions
+from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
 from .measure import Figures, Grey, MeasuredPair, PairImages
 
@@ -103,7 +103,7 @@ def _pair() -> PairImages:
     """A wavy ground with a shadow, and speckle on it."""
     rng = np.random.default_rng(0)
     rows, columns = np.indices((_SIDE, _SIDE))
-    clean: npt.NDArray[np.float32] = (0.4 + 0.2 * np.sin(rows / 5)).astype(np.float32)
+    clean: Float32s = (0.4 + 0.2 * np.sin(rows / 5)).astype(np.float32)
     shadow = (rows > 30) & (columns > 20) & (columns < 35)
     clean[shadow] = 0
     noisy = np.clip(clean * rng.rayleigh(0.8, clean.shape), 0, 1).astype(np.float32)

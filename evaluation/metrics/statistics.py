@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Float64s
 from ...factory.common.seeds import stream
 
 if TYPE_CHECKING:
-    from .fidelity import Values  # loads OpenCV
+    from ...factory.common.array_types import Float64s
 
 T = TypeVar("T")
 
@@ -45,9 +45,7 @@ class Estimate:
     count: int
 
 
-def estimate(
-    values: npt.NDArray[np.float64], groups: Sequence[str], *, resamples: int, seed: int
-) -> Estimate:
+def estimate(values: Float64s, groups: Sequence[str], *, resamples: int, seed: int) -> Estimate:
     """Mean of `values` (N,) with its 95 % percentile-bootstrap interval.
 
     groups: (N,) what each value belongs to.  Whole groups are drawn, because several noise variants
@@ -89,8 +87,8 @@ class Paired:
 
 
 def paired(
-    first: Values,
-    second: Values,
+    first: Float64s,
+    second: Float64s,
     groups: Sequence[str],
     *,
     better: int,

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from ...factory.common.array_types import Bools
 from ...factory.common.errors import FrameError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.recordings.fan_finder import find_geometry
@@ -17,7 +18,6 @@ from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.repeats import CopyFinder
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
 from ..judging.recorded import RecordedImage, Stretch, outline
-from ..metrics.fidelity import Mask
 from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
 
@@ -50,7 +50,7 @@ class Group:
     shots: tuple[RecordedImage, ...]
     shifts_px: np.ndarray
     geometry: FanGeometry | None
-    mask: Mask
+    mask: Bools
     still: float
 
     @property
@@ -67,7 +67,7 @@ class ReferencedFrame:
     shot: RecordedImage
     noisy: Grey
     reference: Grey | None
-    mask: Mask
+    mask: Bools
     geometry: FanGeometry | None
 
 
@@ -93,7 +93,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     copies = 0
     shots: list[RecordedImage] = []
     fans: list[FanGeometry | None] = []
-    sectors: list[Mask] = []
+    sectors: list[Bools] = []
     for shot in stretch.shots:
         try:
             image, geometry = shot.read()
@@ -184,13 +184,13 @@ def alone(shot: RecordedImage) -> ReferencedFrame:
     return ReferencedFrame(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
 
 
-def sector_of(image: Grey, geometry: FanGeometry | None) -> Mask:
+def sector_of(image: Grey, geometry: FanGeometry | None) -> Bools:
     """(H, W) bool: the sector; where no geometry is known what lies within the lit outline."""
     return outline(image) if geometry is None else _sector(geometry, image.shape)
 
 
 @lru_cache(maxsize=4)
-def _sector(geometry: FanGeometry, shape: tuple[int, int]) -> Mask:
+def _sector(geometry: FanGeometry, shape: tuple[int, int]) -> Bools:
     """The frames of a recording have one sector."""
     return geometry.sector_mask(*shape)
 
@@ -205,7 +205,7 @@ def _group(
     name: str,
     shots: Sequence[RecordedImage],
     fans: Sequence[FanGeometry | None],
-    sectors: Sequence[Mask],
+    sectors: Sequence[Bools],
     static: StaticGroup,
     limit: int | None,
 ) -> Group:

@@ -15,12 +15,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array, Bools
 from ...factory.common.progress import progress_bar
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ...models.denoise.temporal.stream import InTime, Network, SequenceFrame
@@ -28,7 +28,7 @@ from ..filters import REGISTRY
 from ..filters.windows import mean_around, registered_mean
 from ..judging.methods import Method, network
 from ..judging.settings import RealSettings
-from ..metrics.fidelity import Mask, psnr, ssim_map
+from ..metrics.fidelity import psnr, ssim_map
 from ..metrics.measure import Grey, Levels, fit_levels
 from ..metrics.statistics import estimate
 from .groups import Group, nearest
@@ -69,7 +69,7 @@ class JudgedInput:
     name: str
     frames: Grey
     references: Grey
-    masks: Mask
+    masks: Bools
     levels: bool = True
 
     def numbers(self, step: int = 1) -> range:
@@ -149,7 +149,7 @@ def _in_time(frames: Grey, network: Network | None) -> list[Grey]:
     return [image for _, image in InTime(network)(shots)]
 
 
-def _references(frames: Grey) -> tuple[Grey, Mask]:
+def _references(frames: Grey) -> tuple[Grey, Bools]:
     """For each frame the mean of those far away, and where the scene is lit and static."""
     count = len(frames)
     lit = cv2.GaussianBlur(frames.mean(axis=0), (0, 0), 2) > _LIT
@@ -183,7 +183,7 @@ def _moving(static: JudgedInput, rng: np.random.Generator) -> JudgedInput:
         speed = np.where((place + speed < 0) | (place + speed > room), -speed, speed)
         place = np.clip(place + speed, 0, room)
 
-    def cut(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def cut(planes: Array) -> Array:
         return np.stack([plane[window] for plane, window in zip(planes, windows, strict=True)])
 
     return JudgedInput("moving", cut(static.frames), cut(static.references), cut(static.masks))

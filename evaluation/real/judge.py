@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypedDict, cast
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Bools, Int64s
 from ...factory.common.errors import FactoryError
 from ...factory.common.progress import progress_bar
 from ...factory.common.workers.tasks import TaskLost, TaskPool
@@ -23,7 +23,7 @@ from ..judging.methods import NOISY, Method, baselines_of, networks_at
 from ..judging.recorded import RecordedImage, Stretch
 from ..judging.runner import SECONDS, Measured, Subject, run
 from ..judging.settings import RealSettings
-from ..metrics.fidelity import Mask, edge_preservation, finite_psnr, psnr, ssim
+from ..metrics.fidelity import edge_preservation, finite_psnr, psnr, ssim
 from ..metrics.measure import (
     SIDE,
     Figures,
@@ -121,7 +121,7 @@ class JudgingPlan(NamedTuple):
 
     shots: list[RecordedImage]
     filters: list[tuple[Method, ...]]
-    group_of_image: npt.NDArray[np.int64]
+    group_of_image: Int64s
     lost: dict[str, str]
 
 
@@ -340,7 +340,7 @@ def _images_of_fold(
 def rows_of(
     methods: Mapping[str, Sequence[Method]],
     measured: Measured,
-    group_of_image: npt.NDArray[np.int64],
+    group_of_image: Int64s,
     *,
     has_static_groups: bool,
     resamples: int,
@@ -369,7 +369,7 @@ def rows_of(
     return rows, best
 
 
-def _figures_table(measured: Measured, group_of_image: npt.NDArray[np.int64]) -> pd.DataFrame:
+def _figures_table(measured: Measured, group_of_image: Int64s) -> pd.DataFrame:
     """A row for each method and image: method, picture (its number), figures, group."""
     table = measured.table().replace([np.inf, -np.inf], np.nan)
     table["group"] = group_of_image[table["picture"].to_numpy(int)]
@@ -466,7 +466,7 @@ def _group_notes(groups: Sequence[Group], parts: Sequence[GroupPart]) -> list[st
     return notes
 
 
-def score(image: Grey, reference: Grey, mask: Mask) -> tuple[float, float]:
+def score(image: Grey, reference: Grey, mask: Bools) -> tuple[float, float]:
     """PSNR in dB and SSIM of an image against its reference, after one gain and offset."""
     levels = fit_levels([(image[mask], reference[mask])])
     fitted = levels(image)
@@ -485,13 +485,13 @@ class MeasuredImage:
     """
 
     noisy: Grey
-    sector: Mask
-    dark: Mask
-    bright: Mask
-    zones: npt.NDArray[np.int64]
+    sector: Bools
+    dark: Bools
+    bright: Bools
+    zones: Int64s
 
 
-def scene_of(noisy: Grey, sector: Mask, name: str) -> MeasuredImage:
+def scene_of(noisy: Grey, sector: Bools, name: str) -> MeasuredImage:
     """The regions of an image, (H, W) in 0..1; sector: (H, W) bool.
 
     Raises FactoryError, which names the image, when it is too small or black.

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError
 from ...factory.common.progress import progress_bar
 from ...factory.common.seeds import stream
@@ -211,7 +211,7 @@ class Collection:
         return Collection(self.name, tuple(evenly(self.sources, limit)), self.notes)
 
 
-def to_polar(image: npt.NDArray[Any], geometry: FanGeometry, grid: Grid) -> Grey:
+def to_polar(image: Array, geometry: FanGeometry, grid: Grid) -> Grey:
     """(H, W) grey values -> (range_bins, beams with data) float32, near range and left first.
 
     Inverse mapping: each cell of the grid looks up its place in the image, bilinear.  Only whole

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from ...factory.common.array_types import Float32s
 from ...factory.common.files import explain_os_errors, write_atomically
 from .tables import as_markdown
 
@@ -61,7 +61,7 @@ class ComparedImages:
     """
 
     title: str
-    images: dict[str, npt.NDArray[np.float32]]
+    images: dict[str, Float32s]
     psnr: dict[str, float] = field(default_factory=dict)
     truth: str = ""
 
@@ -111,7 +111,7 @@ def write_files(out: Path, files: Mapping[str, str | bytes]) -> None:
         write_atomically(out / name, data, key="out")
 
 
-def as_data_uri(image: npt.NDArray[np.float32]) -> str:
+def as_data_uri(image: Float32s) -> str:
     """The image, (H, W) in 0..1, in 8 bits as a lossless data: URI."""
     pixels = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
     _, content = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Float64s
 from ..judging.runner import SECONDS
 from ..metrics.statistics import Estimate, estimate, holm, paired
 from .tables import METRIC_NAMES, plain
@@ -34,9 +34,9 @@ class Estimator:
     resamples: int
     seed: int
 
-    def values(self, metric: str, label: str) -> npt.NDArray[np.float64]:
+    def values(self, metric: str, label: str) -> Float64s:
         """(pairs,) a metric of one row."""
-        values: npt.NDArray[np.float64] = self.figures[metric][label].to_numpy()
+        values: Float64s = self.figures[metric][label].to_numpy()
         return values
 
     def means(self, label: str) -> dict[str, dict[str, Any]]:

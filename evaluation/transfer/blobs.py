@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Float32s
 from ...models.detection.augmentation import place_unchanged
 from ...models.detection.boxes import clip_boxes, suppress_duplicates
 from ...models.detection.detector import Detections, no_detections
@@ -20,8 +20,6 @@ _SIDES_PX = (6, 60)  # least and greatest longer side of an area
 _MARGIN_PX = 2.5
 _MOST = 20
 _SAME_IOU = 0.3
-
-Values = npt.NDArray[np.float32]
 
 
 def detect_blobs(images: Sequence[WorkingImage]) -> list[Detections]:
@@ -50,7 +48,7 @@ def _detect_in(working: WorkingImage) -> Detections:
     return Detections(boxes[kept] / np.float32(working.scale), scores[kept], labels)
 
 
-def _smoothed(grey: Values, fan: Values) -> Values:
+def _smoothed(grey: Float32s, fan: Float32s) -> Float32s:
     """The blurred image in units of its standard deviation; 0 outside the fan."""
     weight = cv2.GaussianBlur(fan, (0, 0), _SMOOTH_PX) + 1e-3
     smooth = cv2.GaussianBlur(grey * fan, (0, 0), _SMOOTH_PX) / weight * fan
@@ -58,7 +56,7 @@ def _smoothed(grey: Values, fan: Values) -> Values:
     return np.asarray(smooth / (inside.std() + 1e-6) if inside.size else smooth, np.float32)
 
 
-def _areas_above(smooth: Values, threshold: float) -> list[tuple[list[float], float]]:
+def _areas_above(smooth: Float32s, threshold: float) -> list[tuple[list[float], float]]:
     """Box and score of each connected area above a threshold.
 
     The score is the mean brightness times the square root of the side of a square of that size.

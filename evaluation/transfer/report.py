@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Int64s
 from ...factory.common.files import check_writable
 from ...factory.common.plots import Curve, Plot, draw_plots
 from ...models.detection.detector import detect
@@ -101,7 +101,7 @@ def _train_alone(settings: TransferSettings) -> None:
     print(f"detector: {settings.folder / 'simulation' / DETECTOR_NAME}")
 
 
-def judge_arm(arm: Arm, real: RealImages, draws: npt.NDArray[np.int64]) -> JudgedArm:
+def judge_arm(arm: Arm, real: RealImages, draws: Int64s) -> JudgedArm:
     """The figures of an arm, for all objects and for each class."""
     images = real.images
     figures, matches = figures_of(images, arm.found, None, draws)
@@ -137,7 +137,7 @@ def write(
     settings: TransferSettings,
     comparison: Comparison,
     judged: Sequence[JudgedArm],
-    draws: npt.NDArray[np.int64],
+    draws: Int64s,
 ) -> str:
     """Write the files; returns what the terminal shows."""
     real = comparison.real
@@ -189,7 +189,7 @@ def write(
     return f"{about.strip()}\n\n{as_markdown(table)}"
 
 
-def overall_table(judged: Sequence[JudgedArm], draws: npt.NDArray[np.int64]) -> pd.DataFrame:
+def overall_table(judged: Sequence[JudgedArm], draws: Int64s) -> pd.DataFrame:
     """The figures of all arms; the lead over the blob detector is paired."""
     head = [
         "detector", "learned from", "AP50", "AP at IoU .3", "recall at one false alarm",

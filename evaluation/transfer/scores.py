@@ -13,16 +13,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Bools, Float32s, Float64s, Int64s
 from ...factory.common.seeds import stream
 from ...models.detection.boxes import Boxes, intersection_over_union, share_inside
 from ...models.detection.detector import Detections
 from ..metrics.statistics import FigureEstimate
 from .coco import RealImage
-
-Values = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 
 IOU_STRICT = 0.5
 IOU_LOOSE = 0.3
@@ -55,10 +52,10 @@ class Matches:
     object_counts: (I,) true objects in each image.
     """
 
-    image: npt.NDArray[np.int64]
-    score: Values
-    is_hit: Mask
-    object_counts: npt.NDArray[np.int64]
+    image: Int64s
+    score: Float64s
+    is_hit: Bools
+    object_counts: Int64s
 
 
 def countable(found: Detections, ignored: Boxes) -> Detections:
@@ -82,9 +79,9 @@ def match(
     """
     evaluation = _evaluate(images, found, label, iou)
     count = len(images)
-    numbers: list[npt.NDArray[np.int64]] = []
-    scores: list[Values] = []
-    hits: list[Mask] = []
+    numbers: list[Int64s] = []
+    scores: list[Float64s] = []
+    hits: list[Bools] = []
     objects = np.zeros(count, np.int64)
     for entry in evaluation.evalImgs:
         if entry is None:
@@ -147,7 +144,7 @@ def _index(coco: Any, images: Any, categories: Any, annotations: Any) -> Any:
     return coco
 
 
-def _entry(number: int, box: npt.NDArray[np.float32]) -> dict[str, Any]:
+def _entry(number: int, box: Float32s) -> dict[str, Any]:
     left, top, right, bottom = map(float, box)
     width = right - left
     height = bottom - top
@@ -155,7 +152,7 @@ def _entry(number: int, box: npt.NDArray[np.float32]) -> dict[str, Any]:
     return {"image_id": number, "category_id": 1, "bbox": bbox, "area": width * height}
 
 
-def average_precision(matches: Matches, weights: npt.NDArray[np.int64] | None = None) -> float:
+def average_precision(matches: Matches, weights: Int64s | None = None) -> float:
     """As pycocotools defines it: precision made monotone, at 101 recalls.  NaN without objects.
 
     weights: (I,) how often each image counts; None: once.
@@ -184,7 +181,7 @@ def average_precision(matches: Matches, weights: npt.NDArray[np.int64] | None = 
 def recall_at(
     matches: Matches,
     alarms_per_image: Sequence[float],
-    weights: npt.NDArray[np.int64] | None = None,
+    weights: Int64s | None = None,
 ) -> list[float]:
     """The part of the objects that is found with so many false alarms per image, or fewer."""
     counts = _counts(matches, weights)
@@ -201,7 +198,7 @@ def recall_at(
     return [float(value) for value in hits[places] / object_count]
 
 
-def _counts(matches: Matches, weights: npt.NDArray[np.int64] | None) -> npt.NDArray[np.int64]:
+def _counts(matches: Matches, weights: Int64s | None) -> Int64s:
     return np.ones(len(matches.object_counts), np.int64) if weights is None else weights
 
 
@@ -212,7 +209,7 @@ def threshold_at(matches: Matches, alarms_per_image: float) -> float:
     return float(alarms[allowed]) if allowed < len(alarms) else 0.0
 
 
-def group_draws(groups: Sequence[str], draws: int, seed: int) -> npt.NDArray[np.int64]:
+def group_draws(groups: Sequence[str], draws: int, seed: int) -> Int64s:
     """(draws, images): how often each image counts when whole groups are drawn with replacement."""
     names, group_of = np.unique(np.array(groups), return_inverse=True)
     rng = stream(seed, "transfer", "bootstrap")
@@ -225,7 +222,7 @@ def figures_of(
     images: Sequence[RealImage],
     found: Sequence[Detections],
     label: int | None,
-    draws: npt.NDArray[np.int64],
+    draws: Int64s,
 ) -> tuple[Figures, Matches]:
     """All figures of one class, or of all objects, and the matches at IOU_STRICT."""
     strict, ap50 = match(images, found, label, IOU_STRICT)
@@ -243,7 +240,7 @@ def figures_of(
     return figures, strict
 
 
-def difference(first: Matches, second: Matches, draws: npt.NDArray[np.int64]) -> FigureEstimate:
+def difference(first: Matches, second: Matches, draws: Int64s) -> FigureEstimate:
     """AP50 of the first minus that of the second, paired over draws of groups."""
     samples = [
         average_precision(first, weights) - average_precision(second, weights) for weights in draws

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import UInt8s
 from ...models.detection.boxes import Boxes, intersection_over_union
 from ...models.detection.detector import Detections
 from .coco import RealImage
 from .scores import IOU_STRICT
-
-Pixels = npt.NDArray[np.uint8]
 
 HIT = (90, 200, 60)
 MISS = (60, 60, 240)
@@ -43,7 +41,7 @@ def detection_sheet(
     rows = -(-len(tiles) // _COLUMNS)
     columns = min(_COLUMNS, len(tiles))
     shape = (rows * (height + _GAP_PX) + _GAP_PX, columns * (width + _GAP_PX) + _GAP_PX, 3)
-    sheet: Pixels = np.full(shape, 24, np.uint8)
+    sheet: UInt8s = np.full(shape, 24, np.uint8)
     for place, tile in enumerate(tiles):
         row, column = divmod(place, _COLUMNS)
         top = _GAP_PX + row * (height + _GAP_PX)
@@ -67,7 +65,7 @@ def _choose(images: Sequence[RealImage], most: int) -> list[int]:
     return [firsts[int(place * len(firsts) / most)] for place in range(most)]
 
 
-def _draw_tile(image: RealImage, found: Detections, threshold: float) -> Pixels:
+def _draw_tile(image: RealImage, found: Detections, threshold: float) -> UInt8s:
     """One image, enlarged, with its boxes."""
     grey = image.labelled.image
     scale = _TILE_PX / max(grey.shape)
@@ -102,6 +100,6 @@ def match_greedily(shown: Boxes, truth: Boxes) -> list[tuple[int, int]]:
     return pairs
 
 
-def _draw(tile: Pixels, boxes: Boxes, scale: float, colour: tuple[int, int, int]) -> None:
+def _draw(tile: UInt8s, boxes: Boxes, scale: float, colour: tuple[int, int, int]) -> None:
     for left, top, right, bottom in np.rint(boxes * scale).astype(int).tolist():
         cv2.rectangle(tile, (left, top), (right, bottom), colour, 1, cv2.LINE_AA)

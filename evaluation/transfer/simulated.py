@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from ...factory.common.array_types import Float32s, Int64s
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.labels import classes_of
 from ...factory.dataset.pair_dataset import PairDataset
@@ -83,8 +84,8 @@ def _read_images(
 def _objects_in(
     instance: npt.NDArray[np.integer],
     segmentation: npt.NDArray[np.integer],
-    label_of: npt.NDArray[np.int64],
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:
+    label_of: Int64s,
+) -> tuple[Float32s, Int64s]:
     """Boxes and labels of the objects of an image that are to be found."""
     boxes = []
     labels = []

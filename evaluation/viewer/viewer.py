@@ -11,9 +11,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from ...factory.common.array_types import Array, Floats, UInt8s
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import write_atomically
 from ...factory.dataset.layout import optional_layers
@@ -116,7 +116,7 @@ class Viewer(PageServer):
         return Answer("image/png", buffer.getvalue())
 
 
-Pixels = npt.NDArray[np.uint8]
+Pixels = UInt8s
 """(H, W), or (H, W, 3): red, green, blue."""
 Facts = dict[str, str | float | int | None]
 
@@ -206,7 +206,7 @@ class ShownRecording:
             return self.image(number, layer)
         return self._windowed(grey_of(frame))
 
-    def _windowed(self, grey: npt.NDArray[np.floating]) -> Pixels:
+    def _windowed(self, grey: Floats) -> Pixels:
         black, white = self._window
         return _grey(np.clip((grey - black) / (white - black), 0, 1))
 
@@ -275,7 +275,7 @@ def _opened(path: Path) -> Recording:
     return recording
 
 
-def _grey(image: npt.NDArray[np.generic]) -> Pixels:
+def _grey(image: Array) -> Pixels:
     """0..1 or a mask as it is; metres and radians from their least to their largest."""
     values = image.astype(np.float32)
     known = np.isfinite(values)

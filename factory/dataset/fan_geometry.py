@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-Maps = dict[str, npt.NDArray[np.float32]]
+from ..common.array_types import Bools, Float32s, Float64s, Floats
+
+Maps = dict[str, Float32s]
 """`range_fraction` (range over range_max), `azimuth_rad` (positive to the right), `sector` (1 where
 the sonar measured, else 0); each (H, W) float32."""
 
-Pixels = npt.NDArray[np.floating[Any]]
 
 _UNKNOWN_SECTOR_DEG = 30.0
 _DRAWN = "device."  # begins the columns of what was drawn for an image
@@ -70,7 +70,7 @@ class SonarDevice(Protocol):
     def image(self) -> SonarImage:
         """The image."""
 
-    def beam_centres_rad(self) -> npt.NDArray[np.float64]:
+    def beam_centres_rad(self) -> Float64s:
         """(beams,) azimuth of each beam, radians, positive to the right."""
 
 
@@ -95,14 +95,14 @@ class RecordedSonar:
     image: RecordedImage
     beam_azimuths_deg: tuple[float, ...] | None = None
 
-    def beam_centres_rad(self) -> npt.NDArray[np.float64]:
+    def beam_centres_rad(self) -> Float64s:
         """(beams,) azimuth of each beam, radians, positive to the right."""
         return beam_centres_rad(self.hfov_deg, self.beams, self.beam_azimuths_deg)
 
 
 def beam_centres_rad(
     hfov_deg: float, beams: int, beam_azimuths_deg: tuple[float, ...] | None = None
-) -> npt.NDArray[np.float64]:
+) -> Float64s:
     """(beams,) azimuth of each beam, radians: those given, or evenly spaced over the sector."""
     if beam_azimuths_deg is not None:
         return np.deg2rad(np.asarray(beam_azimuths_deg, dtype=np.float64))
@@ -360,7 +360,7 @@ class FanGeometry:
         maps = {"range_fraction": range_fraction, "azimuth_rad": azimuth, "sector": sector}
         return {name: np.ascontiguousarray(values, np.float32) for name, values in maps.items()}
 
-    def _ahead_and_across(self, row: Pixels, column: Pixels) -> tuple[Pixels, Pixels]:
+    def _ahead_and_across(self, row: Floats, column: Floats) -> tuple[Floats, Floats]:
         """Distances from the apex, pixels: along straight ahead, and to the right of it."""
         over = row.dtype.type(self.apex_y_px) - row
         right = column - column.dtype.type(self.apex_x_px)
@@ -368,7 +368,7 @@ class FanGeometry:
             self.quarter_turns % 4
         ]
 
-    def sector_mask(self, height: int, width: int) -> npt.NDArray[np.bool_]:
+    def sector_mask(self, height: int, width: int) -> Bools:
         """(H, W) bool: the pixels whose centres lie in the whole sector, with data or not."""
         if self.layout == "polar":
             return np.ones((height, width), dtype=bool)
@@ -379,9 +379,7 @@ class FanGeometry:
         inside = (radius >= self.near_px) & (radius <= self.far_px)
         return np.asarray(inside & (np.abs(np.arctan2(right, ahead)) <= self.sector_rad / 2))
 
-    def pixels(
-        self, range_fraction: npt.NDArray[np.floating], azimuth_rad: npt.NDArray[np.floating]
-    ) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
+    def pixels(self, range_fraction: Floats, azimuth_rad: Floats) -> tuple[Floats, Floats]:
         """(row, column) of points, in pixels; the inverse of `maps`."""
         if self.layout == "fan":
             radius_px = range_fraction * self.far_px

@@ -26,8 +26,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
+from ..common.array_types import Array
 from ..common.errors import FactoryError
 from ..common.small_files import parse_json
 from .schema import (
@@ -301,7 +301,7 @@ _CONTENTS, _TEXTS = SEALS
 _ADDRESSES = {"DIMENSION_LIST", "REFERENCE_LIST"}
 
 
-def crc32(values: npt.NDArray[Any]) -> int:
+def crc32(values: Array) -> int:
     """CRC-32 of an array's bytes in C order."""
     return int(DEFLATE.crc32(np.ascontiguousarray(values).data))
 

@@ -16,13 +16,14 @@ from typing import Any, SupportsIndex, cast
 import numpy as np
 import numpy.typing as npt
 
+from ..common.array_types import Array, Float32s, Int64s
 from ..common.errors import FactoryError
 from ..common.seeds import stream
 from .fan_geometry import FanGeometry, recorded_sonar
 from .layout import config_of, image_axes, optional_layers
 from .manifest import load_manifest
 from .meaning import formation_of
-from .reader import Image, OpenShards, Split, check_in_isolation, listed_shards, reading
+from .reader import OpenShards, Split, check_in_isolation, listed_shards, reading
 from .recordings import STATIC, WINDOW_FRAMES, DatasetRecordings, FrameSequence
 from .schema import (
     CORE,
@@ -40,7 +41,7 @@ from .storage import local_folder
 WINDOW = 16
 THREADS = 4
 
-Sample = dict[str, Image]
+Sample = dict[str, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +318,7 @@ class PairDataset:
         self.close()
 
 
-def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
+def in_unit_range(grey: Array) -> Float32s:
     """Stored grey values (uint8 in 0..255 or float32 in 0..1) as float32 in 0..1."""
     if grey.dtype == np.uint8:
         return grey.astype(np.float32) * np.float32(1 / 255)
@@ -365,9 +366,7 @@ def _count(path: Path) -> int:
         return len(file["noisy"])
 
 
-def mixed_order(
-    places: Sequence[Path], rng: np.random.Generator, window: int = WINDOW
-) -> npt.NDArray[np.int64]:
+def mixed_order(places: Sequence[Path], rng: np.random.Generator, window: int = WINDOW) -> Int64s:
     """(N,) every sample once: shards in random order, the samples of `window` of them mixed.
 
     places: the shard of each sample.

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
+from ..common.array_types import Array
 from ..common.errors import FactoryError
 from ..common.files import write_atomically
 from .folder import PREVIEW_NAME
@@ -44,7 +44,7 @@ class Shown:
     """
 
     heading: str
-    images: Mapping[str, npt.NDArray[np.generic]]
+    images: Mapping[str, Array]
     full_scale: float
 
 

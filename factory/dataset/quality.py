@@ -5,15 +5,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
+from ..common.array_types import Array, Float64s
 from .schema import CHECKSUMS
-
-Values = npt.NDArray[np.float64]
 
 # Equal images count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
@@ -49,13 +46,13 @@ def images_digest(directory: Path) -> str:
     return digest.hexdigest()
 
 
-def psnr_db(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
+def psnr_db(clean: Array, noisy: Array) -> float:
     """Peak signal-to-noise ratio of (H, W) uint8 (0..255) or float (0..1) images, dB, capped."""
     mse = float(np.mean((_unit(noisy) - _unit(clean)) ** 2))
     return float(min(PSNR_CAP_DB, -10 * np.log10(max(mse, 1e-10))))
 
 
-def ssim(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
+def ssim(clean: Array, noisy: Array) -> float:
     """Mean structural similarity (Wang et al. 2004) of two (H, W) uint8 or float (0..1) images.
 
     The border of 5 pixels is left out, as in reports.  NaN for images smaller than the window.
@@ -66,7 +63,7 @@ def ssim(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
     return float(inner(luminance * structure).mean())
 
 
-def gmsd(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
+def gmsd(clean: Array, noisy: Array) -> float:
     """Gradient magnitude similarity deviation of two (H, W) uint8 or float (0..1) images.
 
     Xue et al. (2014), as the authors' program has it: of 2x2 means, Prewitt's gradients, c = 170
@@ -81,7 +78,7 @@ def gmsd(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
     )
 
 
-def _gradient(image: Values) -> Values:
+def _gradient(image: Float64s) -> Float64s:
     height, width = image.shape
     image = np.pad(image, ((0, height % 2), (0, width % 2)))
     image = image.reshape(len(image) // 2, 2, -1, 2).mean(axis=(1, 3))
@@ -109,9 +106,7 @@ def lit_share(directory: Path, most: int = 64) -> float:
     return float(np.mean(shares or [0.0]))
 
 
-def _even_pairs(
-    directory: Path, most: int
-) -> Iterator[tuple[npt.NDArray[np.generic], npt.NDArray[np.generic]]]:
+def _even_pairs(directory: Path, most: int) -> Iterator[tuple[Array, Array]]:
     """Clean and noisy images of at most `most` samples, evenly spread over all shards."""
     total = sum(len(shard["clean"]) for shard in _shards(directory))
     count = min(most, total)
@@ -125,7 +120,7 @@ def _even_pairs(
         first += rows
 
 
-def _unit(image: npt.NDArray[Any]) -> Values:
+def _unit(image: Array) -> Float64s:
     return np.asarray(image.astype(np.float64) / (255.0 if image.dtype == np.uint8 else 1.0))
 
 
@@ -141,7 +136,7 @@ class SsimReference:
     data_range: the difference of the largest and the smallest value that there can be.
     """
 
-    def __init__(self, image: Values, data_range: float) -> None:
+    def __init__(self, image: Float64s, data_range: float) -> None:
         self.image = image
         self._c1 = (0.01 * data_range) ** 2
         self._c2 = (0.03 * data_range) ** 2
@@ -149,7 +144,7 @@ class SsimReference:
         self._mean_squared = self._mean * self._mean
         self._variance = window(image * image) - self._mean_squared
 
-    def terms(self, image: Values) -> tuple[Values, Values]:
+    def terms(self, image: Float64s) -> tuple[Float64s, Float64s]:
         """(H, W) luminance and contrast-structure terms of SSIM; borders are mirrored."""
         mean = window(image)
         variance = window(image * image)
@@ -163,12 +158,12 @@ class SsimReference:
         return luminance, structure
 
 
-def inner(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def inner(values: Array) -> Array:
     """(H, W) values without the border of 5 pixels that the window does not fit into."""
     return values[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX]
 
 
-def window(values: Values) -> Values:
+def window(values: Float64s) -> Float64s:
     """(H, W) means under the Gaussian window, borders mirrored."""
     try:
         import cv2  # of the extra sonar

@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
+from ..common.array_types import Array
 from ..common.errors import FactoryError
 from ..common.isolated import call_isolated
 from .layout import DEFLATE, check_shard, check_texts, crc32, inside
@@ -183,7 +183,6 @@ def value_range(file: h5py.File) -> float:
 
 # --- images
 
-Image = npt.NDArray[Any]
 
 # A process may have 1024 files open as a rule, and a loader may read several datasets.
 _MOST_FILES = 64
@@ -208,10 +207,10 @@ class ImageStack:
         """Number of images."""
         return len(self._dataset)
 
-    def __getitem__(self, row: int) -> Image:
+    def __getitem__(self, row: int) -> Array:
         """One image."""
         number = range(len(self))[row]
-        image: Image = np.empty(*self._form)
+        image: Array = np.empty(*self._form)
         try:
             if self._gzip:
                 # 1.5 times as fast as by HDF5, and never more bytes than an image has.
@@ -241,7 +240,7 @@ class OpenShards:
     def __init__(self) -> None:
         self._forget()
 
-    def read(self, path: Path, layers: tuple[str, ...], row: int) -> list[Image]:
+    def read(self, path: Path, layers: tuple[str, ...], row: int) -> list[Array]:
         """The layers of one sample, each (H, W), as stored.
 
         Raises FactoryError when the shard cannot be opened or a chunk is damaged.

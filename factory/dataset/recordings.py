@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from ..common.array_types import Array, Float64s
 from ..common.errors import FactoryError
 from ..common.small_files import parse_json
 from .schema import CORE
 
-if TYPE_CHECKING:
-    from .pair_dataset import PairDataset
-
-Images = npt.NDArray[Any]
 Track = dict[str, Any]
 
 WINDOW_FRAMES = 7
@@ -37,11 +35,11 @@ class FrameSequence:
 
     recording: str
     frames: tuple[str, ...]
-    time_s: npt.NDArray[np.float64]
-    noisy: Images
-    clean: Images
-    static: Images | None
-    truth: Mapping[str, Images]
+    time_s: Float64s
+    noisy: Array
+    clean: Array
+    static: Array | None
+    truth: Mapping[str, Array]
     tracks: tuple[tuple[Track, ...], ...]
 
     def __len__(self) -> int:
@@ -75,13 +73,31 @@ def is_of_recordings(config: Mapping[str, Any]) -> bool:
     return any(isinstance(item, Mapping) and item.get("moving") for item in own_objects)
 
 
+class SampleSource(Protocol):
+    """The part of `PairDataset` that its recordings are made of."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the dataset."""
+
+    @property
+    def split(self) -> str:
+        """The split that is open."""
+
+    def meta(self) -> npt.NDArray[np.void]:
+        """The sample table, (samples,)."""
+
+    def __getitem__(self, samples: list[int], /) -> Mapping[str, Array]:
+        """Layer -> (N, H, W) images of N samples."""
+
+
 class DatasetRecordings:
     """The recordings of an open dataset, of one variant of the noise.
 
     Reads the tables of all shards once, and images when they are asked for.
     """
 
-    def __init__(self, pairs: PairDataset, variant: int = 0) -> None:
+    def __init__(self, pairs: SampleSource, variant: int = 0) -> None:
         self._pairs = pairs
         self._rows: dict[str, list[_Row]] = {}
         for sample, record in enumerate(pairs.meta()):

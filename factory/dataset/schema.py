@@ -16,8 +16,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.array_types import Array, Bools, Float32s, Float64s
 from ..common.errors import FactoryError, FrameError
 from .frame_ref import FrameRef
 from .labels import CLASSES
@@ -81,7 +81,7 @@ class Layer:
         expected = ", ".join(self.of_camera) or sonar_shape
         return f"is {shape}; expected {expected} and at most {MAX_PIXELS} pixels"
 
-    def value_problem(self, image: npt.NDArray[np.generic]) -> str | None:
+    def value_problem(self, image: Array) -> str | None:
         """What is wrong with the values of an image of the right type."""
         kind = image.dtype.kind
         if self.classes and image.max() >= len(self.classes):
@@ -195,7 +195,7 @@ class Axis:
 
     name: str
     units: str
-    values: npt.NDArray[np.float64]
+    values: Float64s
     description: str = ""
 
 
@@ -222,15 +222,15 @@ class Pair:
     geometry: where range and bearing are in noisy and clean, or None where that is not known.
     """
 
-    noisy: npt.NDArray[np.generic]
-    clean: npt.NDArray[np.generic]
-    shadow: npt.NDArray[np.bool_]
+    noisy: Array
+    clean: Array
+    shadow: Bools
     record: Mapping[str, float | int | str] = field(default_factory=dict)
-    layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+    layers: Mapping[str, Array] = field(default_factory=dict)
     formation: Formation = ""
     geometry: FanGeometry | None = None
 
-    def image(self, layer: str) -> npt.NDArray[np.generic]:
+    def image(self, layer: str) -> Array:
         """The image that goes to a layer: (H, W), of rgb (H, W, 3)."""
         return np.asarray(getattr(self, layer)) if layer in CORE else self.layers[layer]
 
@@ -372,11 +372,11 @@ def _stored_value(column: Column, value: Any, name: str) -> Any:
     return stored
 
 
-def stored_image(image: npt.NDArray[np.generic], dtype: str) -> npt.NDArray[np.generic]:
+def stored_image(image: Array, dtype: str) -> Array:
     """(H, W) uint8 or float32 in [0, 1] -> the stored dtype; full scale stays full scale."""
     if image.dtype == np.dtype(dtype):
         return image
-    values: npt.NDArray[np.float32] = image.astype(np.float32)
+    values: Float32s = image.astype(np.float32)
     if dtype == "uint8":
         return np.asarray(np.rint(values * np.float32(255)).astype(np.uint8))
     return np.asarray(values / np.float32(255))

@@ -17,10 +17,10 @@ from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 from h5py import string_dtype
 from isal import isal_zlib
 
+from ..common.array_types import Array
 from ..common.errors import FrameError
 from ..common.files import explain_os_errors, write_atomically
 from .labels import classes_of
@@ -174,9 +174,7 @@ def _describe(stack: h5py.Dataset, layer: Layer, axes: tuple[Axis, Axis]) -> Non
         stack.dims[dimension].attach_scale(stack.file[f"axes/{axis.name}"])
 
 
-def _write_gzip_chunk(
-    stack: h5py.Dataset, number: int, image: npt.NDArray[np.generic], level: int
-) -> None:
+def _write_gzip_chunk(stack: h5py.Dataset, number: int, image: Array, level: int) -> None:
     """Store an image as chunk `number` of a stack that has gzip and fletcher32 as its filters.
 
     HDF5's own deflate costs as much as forming the image.  ISA-L makes the same format, as small,

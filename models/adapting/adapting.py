@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ...factory.common.array_types import Float32s
 from ...factory.common.seeds import stream
 from ..data.crops import concatenate, crop, whole_image
-from ..data.pairs import Batch, Image, TrainingImage, spread
+from ..data.pairs import Batch, TrainingImage, spread
 from ..networks import averaged
 from ..networks.network import Network, known_extras
 from ..settings import TrainSettings
@@ -142,7 +143,7 @@ def squared_differences(network: Network, batch: Batch) -> Tensor:
     return loss
 
 
-def psnr_after_levels(image: Image, reference: Image) -> float:
+def psnr_after_levels(image: Float32s, reference: Float32s) -> float:
     """PSNR in dB where the reference is known, after one gain and offset; at most 100 dB.
 
     image, reference: (H, W) float32 in 0..1; the reference is NaN where it is unknown.  The gain

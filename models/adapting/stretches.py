@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Bools, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings import Recording, SonarFrame, open_recording
@@ -22,8 +22,6 @@ from ..recordings.palettes import grey_of_colours
 from ..recordings.repeats import CopyFinder
 from ..recordings.static import aligned, find_groups, laid_over, moving
 from ..recordings.views import grey_of, polar_geometry, presentation_of
-
-Image = npt.NDArray[np.float32]
 
 RUN = 16  # frames that follow each other are read together where not all can be
 MOST_FRAMES = 256  # of all recordings together; of more, runs that are evenly spread are read
@@ -38,11 +36,11 @@ _LEAST_KNOWN = 0.1  # of the sector that must be static
 class StretchFrame:
     """One frame: (H, W) float32 in 0..1, and where range and bearing are, if that is known."""
 
-    grey: Image
+    grey: Float32s
     geometry: FanGeometry | None = None
 
     @property
-    def sector(self) -> npt.NDArray[np.bool_]:
+    def sector(self) -> Bools:
         """(H, W) bool: what the sonar measured; all where that is not known."""
         shape = self.grey.shape
         if self.geometry is None:
@@ -184,15 +182,15 @@ def _shot_of(frame: SonarFrame, item: InputFile, geometries: Geometries) -> Stre
 class Still:
     """One stretch; its images are (H, W) float32 in 0..1."""
 
-    frames: list[Image]
-    targets: list[Image]
+    frames: list[Float32s]
+    targets: list[Float32s]
     """One for each frame, NaN outside the sector and on moving objects."""
-    laid: list[Image]
+    laid: list[Float32s]
     """The frames, shifted so that their scene lies where the first frame has it."""
     geometry: FanGeometry | None
     recording: int = 0
 
-    def averaged(self, first: int, count: int) -> tuple[Image, Image]:
+    def averaged(self, first: int, count: int) -> tuple[Float32s, Float32s]:
         """The mean of `count` frames from `first` on, and of all others, NaN where unknown."""
         own = np.mean(self.laid[first : first + count], axis=0)
         rest = np.mean(self.laid[:first] + self.laid[first + count :], axis=0)

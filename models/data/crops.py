@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset, Sampler
 
+from ...factory.common.array_types import Int64s
 from ...factory.common.seeds import stream
 from ...factory.dataset.pair_dataset import mixed_order
 from ..settings import DataSettings
@@ -177,7 +177,7 @@ class VisitSampler(Sampler[list[Visit]]):
         self.seed = seed
         self.step = 0
         self._places = places
-        self._orders: dict[int, npt.NDArray[np.int64]] = {}
+        self._orders: dict[int, Int64s] = {}
 
     def __iter__(self) -> Iterator[list[Visit]]:
         interval_end = (self.step // self.every + 1) * self.every
@@ -209,7 +209,7 @@ class VisitSampler(Sampler[list[Visit]]):
             draw_in_lane -= int(stream(self.seed, "reuse", step, place).integers(choices))
         return draw_in_lane * LANES + lane
 
-    def _order(self, round_: int) -> npt.NDArray[np.int64]:
+    def _order(self, round_: int) -> Int64s:
         """All images in the order of a round."""
         if round_ not in self._orders:
             # A kept image can be one of an earlier round, of few images of a much earlier one.

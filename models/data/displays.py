@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from .pairs import Image
+from ...factory.common.array_types import Float32s
 
 _LEAST_SCALE = 0.45
 _MOST_SCALE = 1.6
@@ -123,7 +123,7 @@ def _draw_band(rng: np.random.Generator) -> Band:
     return Band(axis, middle - half, middle + half, float(gain), rng.uniform(0.003, 0.12))
 
 
-def show(image: Image, display: Display, window: ImagePart) -> Image:
+def show(image: Float32s, display: Display, window: ImagePart) -> Float32s:
     """An image, or its `window`, as a display shows it, but for its size and number of greys.
 
     image: float32 of the shape of the window, 0 to 1, NaN where unknown.
@@ -134,7 +134,7 @@ def show(image: Image, display: Display, window: ImagePart) -> Image:
     return np.asarray(shown, np.float32)
 
 
-def gains(display: Display, window: ImagePart) -> Image:
+def gains(display: Display, window: ImagePart) -> Float32s:
     """(H, W) float32: what each pixel of a window is multiplied by."""
     height, width = window.image_shape
     rows = ((np.arange(window.shape[0]) + window.top + 0.5) / height).astype(np.float32)
@@ -156,20 +156,20 @@ def gains(display: Display, window: ImagePart) -> Image:
     return np.asarray(gain, np.float32)
 
 
-def _band_gain(places: Image, band: Band) -> Image:
+def _band_gain(places: Float32s, band: Band) -> Float32s:
     rise = np.clip((places - band.low) / band.edge + 0.5, 0, 1)
     fall = np.clip((band.high - places) / band.edge + 0.5, 0, 1)
     return np.asarray(1 + np.float32(band.gain - 1) * np.minimum(rise, fall), np.float32)
 
 
-def with_greys(image: Image, count: int) -> Image:
+def with_greys(image: Float32s, count: int) -> Float32s:
     """An image in 0..1 with so many grey values; 0 leaves it."""
     if not count:
         return image
     return np.asarray(np.rint(image * (count - 1)) / np.float32(count - 1), np.float32)
 
 
-def resized_planes(planes: Mapping[str, Image], shape: tuple[int, int]) -> dict[str, Image]:
+def resized_planes(planes: Mapping[str, Float32s], shape: tuple[int, int]) -> dict[str, Float32s]:
     """Planes of one window at another size, (rows, columns), as displays interpolate."""
     height, width = next(iter(planes.values())).shape
     is_smaller = shape[0] < height or shape[1] < width

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import sha256_of
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -23,7 +24,7 @@ from ..recordings import IMAGE_SUFFIXES, is_recording, kind_of, open_recording
 from ..recordings.fan_tables import read_fans
 from ..recordings.views import frame_image
 from ..settings import OldData
-from .pairs import Image, ImageSource, SampleRef, TrainingImage, weakened
+from .pairs import ImageSource, SampleRef, TrainingImage, weakened
 
 _FAR_M = 10.0  # of the far edge: the noise knows fractions of the range alone, so any would do
 _SPREAD_PX = 0.7
@@ -57,7 +58,7 @@ def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef
     return tuple(samples)
 
 
-def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
+def read_sample(sample: SampleRef) -> tuple[Float32s, FanGeometry | None]:
     """An image as (H, W) float32 in 0..1, and its geometry where its recording tells it.
 
     A ping becomes a fan.  Raises FactoryError when it cannot be read.
@@ -124,7 +125,7 @@ class OldDataSource(ImageSource):
         return TrainingImage(noisy, clean, shadow.astype(np.float32), geometry)
 
 
-def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
+def with_noise(clean: Float32s, geometry: FanGeometry, draws: Draws) -> Float32s:
     """An image (H, W) in 0..1 with the drawn effects on it, clipped to 0..1.
 
     Every pixel that is not black is four echoes, which range spreading moves along their bearing
@@ -147,7 +148,7 @@ def with_noise(clean: Image, geometry: FanGeometry, draws: Draws) -> Image:
     return np.clip(image * maps["sector"], 0, 1).astype(np.float32)
 
 
-def _gathered(echoes: Echoes, geometry: FanGeometry, shape: tuple[int, ...]) -> Image:
+def _gathered(echoes: Echoes, geometry: FanGeometry, shape: tuple[int, ...]) -> Float32s:
     """Sum of the echoes' strengths in each pixel; those outside the image are lost."""
     height, width = shape
     fraction = echoes.range_m / np.float32(_FAR_M)

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset
 
+from ...factory.common.array_types import Array, Int64s
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.seeds import stream
 from ...factory.dataset.frame_ref import FrameRef
@@ -111,7 +111,7 @@ class PairStream(IterableDataset[dict[str, Tensor]]):
             name: torch.from_numpy(np.stack([sample[name] for sample in samples])) for name in names
         }
 
-    def _sample(self, position: int) -> dict[str, npt.NDArray[Any]]:
+    def _sample(self, position: int) -> dict[str, Array]:
         """The layers of a pair, grey values as float32 in 0..1."""
         pair = self.pair(position)
         images = {"noisy": pair.noisy, "clean": pair.clean, "shadow": pair.shadow, **pair.layers}
@@ -184,7 +184,7 @@ def rendered_frames(config: FactoryConfig, split: str) -> tuple[FrameRef, ...]:
 
 
 @lru_cache(maxsize=_ROUNDS_IN_MEMORY)
-def _order(seed: int, round_: int, frames: int) -> npt.NDArray[np.int64]:
+def _order(seed: int, round_: int, frames: int) -> Int64s:
     return stream(seed, "order", round_).permutation(frames)
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.seeds import stream
 from ...factory.dataset import PairDataset
@@ -21,7 +21,6 @@ from ...factory.dataset.pair_dataset import in_unit_range
 from ...factory.dataset.reader import OpenShards, Split
 from ...factory.dataset.storage import url_of
 
-Image = npt.NDArray[np.float32]
 Anything = TypeVar("Anything")
 
 Batch = dict[str, torch.Tensor]
@@ -43,11 +42,11 @@ class TrainingImage:
     taught: part of the target that a teacher's image is, 0 to 1.
     """
 
-    noisy: Image
-    clean: Image
-    shadow: Image | None = None
+    noisy: Float32s
+    clean: Float32s
+    shadow: Float32s | None = None
     geometry: FanGeometry | None = None
-    frames: Image | None = None
+    frames: Float32s | None = None
     taught: float = TAUGHT
 
 

@@ -14,15 +14,15 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Bools, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.seeds import stream
 from ...factory.dataset import PairDataset
 from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ..networks import averaged
 from ..settings import SequencesData
-from .pairs import Data, Image, ImageSource, TrainingImage, spread
+from .pairs import Data, ImageSource, TrainingImage, spread
 
 _HELD_RECORDINGS = 8
 _LAYERS = ("noisy", "clean", "static")
@@ -42,11 +42,11 @@ class FrameWindow:
     corner: row and column of the window in the image.  geometry: of the image, where it is known.
     """
 
-    noisy: Image
-    clean: Image
-    static: Image
-    reference: Image
-    moving: npt.NDArray[np.bool_]
+    noisy: Float32s
+    clean: Float32s
+    static: Float32s
+    reference: Float32s
+    moving: Bools
     corner: tuple[int, int] = (0, 0)
     geometry: FanGeometry | None = None
 
@@ -153,7 +153,7 @@ class SequenceSource(ImageSource):
             taught=0.0,
         )
 
-    def _standing_scene(self, recording: str) -> Image:
+    def _standing_scene(self, recording: str) -> Float32s:
         """(H, W) the mean of the frames in which nothing moves there, else the clean scene."""
         sequence = self._pairs.sequence(recording)
         assert sequence.static is not None

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from .pairs import Image, TrainingImage
+from ...factory.common.array_types import Float32s
+from .pairs import TrainingImage
 
 _AREA_PX = 56 * 56  # of an image for each target
 _SEMI_MINOR_PX = (1.3, 5.0)
@@ -82,7 +82,7 @@ def insert_targets(sample: TrainingImage, targets: Sequence[Target]) -> Training
     )
 
 
-def _profiles(targets: Sequence[Target], shape: tuple[int, ...]) -> Image:
+def _profiles(targets: Sequence[Target], shape: tuple[int, ...]) -> Float32s:
     """(H, W) sum of the targets, in standard deviations of the grain."""
     height, width = shape
     total = np.zeros(shape, np.float32)
@@ -104,7 +104,7 @@ def _profiles(targets: Sequence[Target], shape: tuple[int, ...]) -> Image:
     return total
 
 
-def _grain_sigma(sample: TrainingImage) -> Image:
+def _grain_sigma(sample: TrainingImage) -> Float32s:
     """(H, W) standard deviation of the grain of a single frame around each pixel; 0 in black."""
     noisy = sample.noisy
     grain = noisy - _blurred(noisy, _GRAIN_SIGMA_PX)
@@ -115,7 +115,7 @@ def _grain_sigma(sample: TrainingImage) -> Image:
     return np.asarray(sigma * is_lit, np.float32)
 
 
-def _blurred(image: Image, sigma_px: float) -> npt.NDArray[np.float32]:
+def _blurred(image: Float32s, sigma_px: float) -> Float32s:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), np.float32)
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Float32s, UInt8s
 from ...factory.common.errors import FactoryError
 from ...factory.common.seeds import stream
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -23,7 +23,7 @@ from ..recordings.static import find_groups, shifted
 from ..recordings.views import presentation_of
 from ..settings import MixedData
 from .images import list_images, read_sample
-from .pairs import Image, ImageSource, SampleRef, TrainingImage
+from .pairs import ImageSource, SampleRef, TrainingImage
 from .targets import draw_targets, insert_targets
 
 _LEAST_FRAMES = 10
@@ -55,7 +55,7 @@ class Stack:
     is_still: whether they are static, and so many that the mean of others can be a target.
     """
 
-    frames: npt.NDArray[np.uint8]
+    frames: UInt8s
     geometry: FanGeometry
     is_still: bool
 
@@ -87,7 +87,7 @@ class Stack:
         frames = averaged(1 / np.square(weights).sum(axis=0))
         return TrainingImage(mean, self._target(members), None, self.geometry, frames, taught=0.0)
 
-    def _target(self, members: Sequence[int]) -> Image:
+    def _target(self, members: Sequence[int]) -> Float32s:
         """The mean of frames around the members, NaN where something moved."""
         near = members[0] - _AROUND
         far = members[-1] + _AROUND + 1
@@ -127,7 +127,7 @@ def open_stacks(paths: Sequence[str], least_side: int) -> tuple[Stack, ...]:
     return tuple(stacks)
 
 
-def _shown(ref: SampleRef) -> tuple[Image, FanGeometry | None]:
+def _shown(ref: SampleRef) -> tuple[Float32s, FanGeometry | None]:
     """A frame as networks are shown it."""
     grey, geometry = read_sample(ref)
     if geometry is None:
@@ -190,7 +190,7 @@ def resized(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     gain = np.float32(rng.uniform(*_GAINS))
 
-    def shown(image: Image) -> Image:
+    def shown(image: Float32s) -> Float32s:
         return np.asarray(
             np.clip(gain * cv2.resize(image, (columns, rows), interpolation=interpolation), 0, 1)
         )
@@ -213,7 +213,7 @@ def standing(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
     """A drawn pair as the mean of frames: some of its speckle is static, the rest is fresh."""
     part = np.float32(rng.choice([0.0, 0.3, 0.6, 1.0]))
     target = sample.clean + part * (sample.noisy - sample.clean)
-    count: float | Image = float(np.exp(rng.uniform(np.log(1.5), np.log(20))))
+    count: float | Float32s = float(np.exp(rng.uniform(np.log(1.5), np.log(20))))
     if rng.random() < _UNEVEN:
         count = 1 + (count - 1) * smooth_field(rng, target.shape)
     frames = np.broadcast_to(averaged(count), target.shape).copy()
@@ -232,7 +232,7 @@ def standing(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
     )
 
 
-def temporal_noise(rng: np.random.Generator, image: Image) -> Image:
+def temporal_noise(rng: np.random.Generator, image: Float32s) -> Float32s:
     """The difference of one frame from the static part: nothing in black, some grain wide."""
     grain = rng.standard_normal(image.shape, dtype=np.float32)
     across = rng.uniform(0.2, 1.3)
@@ -271,7 +271,7 @@ def with_loud_beam(sample: TrainingImage, rng: np.random.Generator) -> TrainingI
     return replace(sample, noisy=noisy, clean=dark * sample.clean)
 
 
-def smooth_field(rng: np.random.Generator, shape: tuple[int, ...]) -> Image:
+def smooth_field(rng: np.random.Generator, shape: tuple[int, ...]) -> Float32s:
     """(H, W) in 0..1, patches of 8 to 60 pixels with soft edges."""
     side = rng.uniform(8, 60)
     coarse = rng.random([int(size / side) + 3 for size in shape]).astype(np.float32)
@@ -280,5 +280,5 @@ def smooth_field(rng: np.random.Generator, shape: tuple[int, ...]) -> Image:
     return np.asarray(np.clip(field, 0, 1), np.float32)
 
 
-def _grey(frames: npt.NDArray[np.uint8]) -> Image:
+def _grey(frames: UInt8s) -> Float32s:
     return frames.astype(np.float32) / np.float32(255)

@@ -13,16 +13,14 @@ from typing import IO, Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
+from PIL import Array as PillowImage
 from PIL import GifImagePlugin
-from PIL import Image as PillowImage
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ..recordings.animations import PNG_SIGNATURE, Animation, png_chunk
 from ..recordings.base import swapped
 from .video_writer import TimedImage
-
-Image = npt.NDArray[Any]
 
 _USUAL_DURATION_S = 0.1
 _MOST_MS = (1 << 24) - 1
@@ -69,7 +67,7 @@ def _write_gif(output: IO[bytes], images: Iterable[TimedImage], source: Animatio
     output.write(b";")
 
 
-def _with_palette(image: Image) -> PillowImage.Image:
+def _with_palette(image: Array) -> PillowImage.Image:
     """With all 256 greys, or with the 256 colours that are nearest to its own."""
     if image.ndim == 2:
         height, width = image.shape
@@ -102,7 +100,7 @@ def _write_webp(output: IO[bytes], images: Iterable[TimedImage], source: Animati
     output.write(struct.pack("<I", length - 8))
 
 
-def _webp_data(image: Image) -> bytes:
+def _webp_data(image: Array) -> bytes:
     """The chunk with the pixels of a WebP file without loss."""
     if image.ndim == 2:
         image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)

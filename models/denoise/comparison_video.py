@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ...factory.common.array_types import Array
 from ..recordings.plain_video import SUFFIX, PlainVideo, plain_video
-from .writers import Pixels, side_by_side
+from .writers import side_by_side
 
 __all__ = ["SUFFIX", "ComparisonVideo", "comparison_video"]
 
@@ -31,7 +32,7 @@ class ComparisonVideo:
     def __init__(self, video: PlainVideo) -> None:
         self._video = video
 
-    def add(self, noisy: Pixels, denoised: Pixels, time_s: float | None = None) -> None:
+    def add(self, noisy: Array, denoised: Array, time_s: float | None = None) -> None:
         """The next image, (H, W) or (H, W, C); uint8, uint16 or float in 0..1.
 
         time_s: when it was taken; None: unknown.

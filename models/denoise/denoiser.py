@@ -15,20 +15,20 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Float32s, Float64s
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import sha256_of
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
-from .images import Grey, block_means
+from .images import block_means
 from .polar import Maps
 from .runtime import open_runtime
 from .wide_cells import by_cells
 
-Work = Callable[[Grey, Maps], Grey]
+Work = Callable[[Float32s, Maps], Float32s]
 
 _SEVERAL = 1.5
 """From so many frames on average on, grain is the scene's: the image is not halved first."""
@@ -66,11 +66,11 @@ class Denoiser:
 
     def __call__(
         self,
-        grey: Grey,
+        grey: Float32s,
         geometry: FanGeometry | None = None,
         *,
-        frames: float | Grey | None = None,
-    ) -> Grey:
+        frames: float | Float32s | None = None,
+    ) -> Float32s:
         """(H, W) float32 in 0..1 -> the same, denoised.
 
         geometry: where range and bearing are, if that is known.  frames: how many were averaged in
@@ -84,7 +84,7 @@ class Denoiser:
         grey = presentation.shown(grey)
         extras = self.runtime.extras
         widest = self.runtime.wide_grain
-        maps: dict[str, Grey] = {}
+        maps: dict[str, Float32s] = {}
         if presentation.geometry is not None and extras:
             known_maps = presentation.geometry.maps(0, 0, *grey.shape)
             maps = {name: known_maps[name] for name in extras if name in known_maps}
@@ -105,10 +105,10 @@ class Denoiser:
             denoised = np.where(outside, grey, denoised)
         return presentation.undone(denoised)
 
-    def _denoise_whole(self, grey: Grey, maps: Maps) -> Grey:
+    def _denoise_whole(self, grey: Float32s, maps: Maps) -> Float32s:
         tiles: list[tuple[float, int]] = []
 
-        def denoise_tile(part: Grey, maps: Maps) -> Grey:
+        def denoise_tile(part: Float32s, maps: Maps) -> Float32s:
             denoised, weight = self.runtime.run(part, maps)
             tiles.append((weight, part.size))
             return denoised
@@ -126,7 +126,7 @@ class Denoiser:
         return result
 
 
-def by_scales(grey: Grey, maps: Maps, denoise: Work, widest: float) -> Grey:
+def by_scales(grey: Float32s, maps: Maps, denoise: Work, widest: float) -> Float32s:
     """`denoise` of an image, (H, W) in 0..1, first at smaller sizes while its grain is wide.
 
     maps: planes of the image for `denoise`, (H, W), some perhaps `sector`.
@@ -150,7 +150,7 @@ def by_scales(grey: Grey, maps: Maps, denoise: Work, widest: float) -> Grey:
     return denoise(np.clip(grey + part * enlarged, 0, 1).astype(np.float32), maps)
 
 
-def correlation(grey: Grey) -> float:
+def correlation(grey: Float32s) -> float:
     """Of the grain of pixels that are neighbours along rows or columns, the lesser of both.
 
     0 where too few pixels are lit to tell, or where there is no grain.
@@ -167,7 +167,7 @@ def correlation(grey: Grey) -> float:
     return min(down, across) / power
 
 
-def tiled(work: Work, image: Grey, maps: Maps, tile: int, overlap: int) -> Grey:
+def tiled(work: Work, image: Float32s, maps: Maps, tile: int, overlap: int) -> Float32s:
     """`work` on tiles of at most `tile` pixels a side, put together again.
 
     image, and each of maps: (H, W).  Where tiles overlap, their weights rise and fall linearly over
@@ -197,7 +197,7 @@ def _starts(size: int, tile: int, overlap: int) -> list[int]:
     return [round(number * (size - tile) / (count - 1)) for number in range(count)]
 
 
-def _ramp(size: int, overlap: int) -> npt.NDArray[np.float64]:
+def _ramp(size: int, overlap: int) -> Float64s:
     """Rises from the edge over `overlap` pixels, never quite 0."""
     edge = np.minimum(np.arange(size), np.arange(size)[::-1]) + 1.0
     return np.minimum(edge / (overlap + 1), 1.0)

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.files import write_atomically
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -18,7 +19,7 @@ from ..recordings.images import read_image
 from ..recordings.inputs import InputFile
 from ..recordings.portable_grey import white_of_file
 from .frame_shots import FrameShots
-from .images import Denoised, OutOfRange, Pixels, Place
+from .images import Denoised, OutOfRange, Place
 from .job import DenoisingJob
 from .reports import FileReport, fusion_columns
 from .results import State, open_result, view_of
@@ -117,7 +118,7 @@ class _Images:
         if not self._is_single and self._total.frames:
             self._job.rows.append(self._total.row(self._job.denoise.name, self._sequence))
 
-    def _place_of(self, key: tuple[InputFile, Pixels]) -> Place:
+    def _place_of(self, key: tuple[InputFile, Array]) -> Place:
         return partial(self._job.geometries.of, key[0])
 
     def _write(self, results: Iterable[Denoised]) -> None:
@@ -137,7 +138,7 @@ class _Images:
             self._total.merge(report, item.relative.name)
 
 
-def _write_results(item: InputFile, image: Pixels, denoised: Denoised, job: DenoisingJob) -> None:
+def _write_results(item: InputFile, image: Array, denoised: Denoised, job: DenoisingJob) -> None:
     """Write a denoised image in the form of its file, and what compares it with the noisy one."""
     path = job.out / item.relative
     if item.source.suffix.lower() == ARRAY_SUFFIX:
@@ -288,7 +289,7 @@ class _Run:
         self.frames_read = state["frames_read"]
         print(f"{self._item.source}: goes on behind frame {self.frames_read}, where it was stopped")
 
-    def _place(self) -> Callable[[Pixels, str], FanGeometry | None]:
+    def _place(self) -> Callable[[Array, str], FanGeometry | None]:
         return partial(self._job.geometries.of, self._item)
 
 

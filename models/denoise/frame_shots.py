@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable
 from functools import partial
 
+from ...factory.common.array_types import Array
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings.base import SonarFrame
 from ..recordings.device_settings import settings_of
 from ..recordings.views import polar_geometry
-from .images import Denoising, Pixels
+from .images import Denoising
 from .temporal.stream import SequenceFrame
 
 
@@ -21,7 +22,7 @@ class FrameShots:
     """
 
     def __init__(
-        self, denoising: Denoising, find_geometry: Callable[[Pixels, str], FanGeometry | None]
+        self, denoising: Denoising, find_geometry: Callable[[Array, str], FanGeometry | None]
     ) -> None:
         """find_geometry: of an image, given its `SonarFrame.sequence`; called in order."""
         self._denoising = denoising
@@ -42,7 +43,7 @@ class FrameShots:
         self.previous[frame.sequence] = frame
         return shot
 
-    def _geometry(self, frame: SonarFrame, image: Pixels) -> FanGeometry | None:
+    def _geometry(self, frame: SonarFrame, image: Array) -> FanGeometry | None:
         if frame.beams is not None:
             return polar_geometry(frame.beams, len(image))
         return frame.geometry or self._find_geometry(image, frame.sequence)

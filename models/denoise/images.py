@@ -13,8 +13,8 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.workers.machine import usable_cores
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -26,9 +26,7 @@ from .temporal.interleaved import Interleaved
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, SequenceFrame
 from .temporal.strength import Strength
 
-Grey = npt.NDArray[np.float32]
-Pixels = npt.NDArray[Any]
-Place = Callable[[Pixels], FanGeometry | None]
+Place = Callable[[Array], FanGeometry | None]
 """Where range and bearing are in an image; None where that is not known."""
 
 
@@ -40,7 +38,7 @@ class Denoised:
     """
 
     key: Any
-    image: Pixels
+    image: Array
     removed: Removed
 
 
@@ -55,22 +53,22 @@ class _Source:
     """
 
     key: Any
-    image: Pixels
+    image: Array
     strength: np.float32
-    shown: Pixels
-    levels: Grey
+    shown: Array
+    levels: Float32s
     painted: Painted | None
     white: float | None
     level_range: LevelRange | None = None
 
-    def result(self, levels: Grey) -> Denoised:
+    def result(self, levels: Float32s) -> Denoised:
         """levels: (H, W) or (H, W, C), what became of its own."""
         denoised = self._result(levels)
         if self.level_range is None or self.strength == 0:
             return denoised
         return replace(denoised, image=self.level_range.restored(denoised.image, self.image))
 
-    def _result(self, levels: Grey) -> Denoised:
+    def _result(self, levels: Float32s) -> Denoised:
         painted = self.painted
         if self.strength != 1:
             levels = self.levels + self.strength * (levels - self.levels)
@@ -136,7 +134,7 @@ class Denoising:
     def shot(
         self,
         key: Any,
-        image: Pixels,
+        image: Array,
         place: Place,
         shift_px: tuple[float, float] | None = None,
         *,
@@ -192,7 +190,7 @@ class Denoising:
             return self._opened(1, at_once or 1)
         return self._opened(self.frames, at_once or usable_cores())
 
-    def denoise_image(self, image: Pixels, place: Place) -> Denoised:
+    def denoise_image(self, image: Array, place: Place) -> Denoised:
         """Denoise one image alone.  Raises ValueError as `shot` does."""
         (denoised,) = self._opened(1, 1).run([self.shot(None, image, place)])
         return denoised
@@ -230,8 +228,8 @@ class Denoising:
 class LazyFan:
     """Finds the geometry of an image when it is first asked for; is pickled without its finder."""
 
-    def __init__(self, image: Pixels, find: Place) -> None:
-        self._image: Pixels | None = image
+    def __init__(self, image: Array, find: Place) -> None:
+        self._image: Array | None = image
         self._find: Place | None = find
         self._geometry: FanGeometry | None = None
 
@@ -333,7 +331,7 @@ class FrameSequence:
         self._stream.close()
 
 
-def _results(denoised: Iterable[tuple[Any, Grey]]) -> Iterator[Denoised]:
+def _results(denoised: Iterable[tuple[Any, Float32s]]) -> Iterator[Denoised]:
     source: _Source
     for source, levels in denoised:
         yield source.result(levels)
@@ -349,7 +347,7 @@ class LevelRange(NamedTuple):
     black: float
     white: float
 
-    def scaled(self, image: Pixels) -> Pixels:
+    def scaled(self, image: Array) -> Array:
         """A float image in 0..1; what lies outside is black or white.  Other images as they are."""
         if image.dtype != np.float32:
             return image
@@ -357,7 +355,7 @@ class LevelRange(NamedTuple):
         scaled = (image - np.float32(self.black)) / span
         return np.asarray(np.clip(scaled, 0, 1), np.float32)
 
-    def restored(self, denoised: Pixels, image: Pixels) -> Pixels:
+    def restored(self, denoised: Array, image: Array) -> Array:
         """The reverse for a denoised image; what lay outside in the image does so again."""
         if image.dtype != np.float32:
             return denoised
@@ -366,7 +364,7 @@ class LevelRange(NamedTuple):
         return np.asarray(np.float32(self.black) + span * denoised + beyond, np.float32)
 
 
-def check(image: Pixels) -> None:
+def check(image: Array) -> None:
     """ValueError for an image that cannot be denoised."""
     if str(image.dtype) not in FULL_SCALE:
         raise ValueError(f"pixels are {image.dtype}; expected {', '.join(FULL_SCALE)}")
@@ -385,7 +383,7 @@ def check(image: Pixels) -> None:
             )
 
 
-def levels_of(image: Pixels) -> Grey:
+def levels_of(image: Array) -> Float32s:
     """(H, W) or (H, W, C) float32 in 0..1, without alpha; colours that are equal as one plane."""
     levels = _colours(image).astype(np.float32) / np.float32(FULL_SCALE[str(image.dtype)])
     if levels.ndim == 3 and (levels == levels[..., :1]).all():
@@ -393,7 +391,7 @@ def levels_of(image: Pixels) -> Grey:
     return levels
 
 
-def restored(levels: Grey, image: Pixels) -> Pixels:
+def restored(levels: Float32s, image: Array) -> Array:
     """The reverse of `levels_of`, with the dtype, shape and alpha of an image."""
     full = FULL_SCALE[str(image.dtype)]
     values = np.rint(levels.astype(np.float64) * full) if full > 1 else levels
@@ -403,13 +401,13 @@ def restored(levels: Grey, image: Pixels) -> Pixels:
     return result
 
 
-def without_alpha(image: Pixels) -> Pixels:
+def without_alpha(image: Array) -> Array:
     """(H, W) of grey with or without alpha, (H, W, 3) of colours."""
     colours = _colours(image)
     return colours[..., 0] if colours.ndim == 3 and colours.shape[2] == 1 else colours
 
 
-def white_of(image: Pixels) -> float:
+def white_of(image: Array) -> float:
     """The grey value of white: full scale, or that of 10 or 12 bits in samples of 16."""
     if image.dtype != np.uint16:
         return FULL_SCALE[str(image.dtype)]
@@ -417,7 +415,7 @@ def white_of(image: Pixels) -> float:
     return float((1 << max(largest.bit_length(), 8)) - 1)
 
 
-def inverted(image: Pixels, white: float) -> Pixels:
+def inverted(image: Array, white: float) -> Array:
     """An image with white as black and black as white; alpha as it is."""
     result = image.copy()
     colours = _colours(result)
@@ -425,14 +423,14 @@ def inverted(image: Pixels, white: float) -> Pixels:
     return result
 
 
-def _colours(image: Pixels) -> Pixels:
+def _colours(image: Array) -> Array:
     """A view without the alpha channel."""
     if image.ndim == 2:
         return image
     return image[..., : 3 if image.shape[2] in (3, 4) else 1]
 
 
-def block_means(plane: Grey, times: int) -> Grey:
+def block_means(plane: Float32s, times: int) -> Float32s:
     """Means of `times` x `times` pixels, (H, W) -> (ceil(H / times), ceil(W / times)).
 
     The last row and column are repeated where a side is no multiple.

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array
 from ..recordings.base import FULL_SCALE
 from .images import white_of
-from .temporal.motion import Grey, grey_of
+from .temporal.motion import grey_of
 from .unchanged import first_of
 
 _WINDOW_PX = 5  # side of the window of local means and deviations
@@ -37,7 +36,7 @@ _LIMIT_WITHOUT_GROUND = -0.3
 simulated, none counts, and of their inverses 1,220 do."""
 
 
-def has_inverted_scale(levels: Grey) -> bool:
+def has_inverted_scale(levels: Array) -> bool:
     """Whether an image, (H, W) float32 in 0..1, shows dark echoes on a bright ground."""
     mean = cv2.blur(levels, (_WINDOW_PX, _WINDOW_PX))
     power = cv2.blur(np.square(levels), (_WINDOW_PX, _WINDOW_PX))
@@ -65,13 +64,13 @@ def has_inverted_scale(levels: Grey) -> bool:
     return is_bright and polarity < limit
 
 
-def _skewness(values: Grey) -> float:
+def _skewness(values: Array) -> float:
     deviations = values - values.mean()
     std = max(float(deviations.std()), 1e-3)
     return float((deviations**3).mean()) / std**3
 
 
-def _rank_correlation(first: Grey, second: Grey) -> float:
+def _rank_correlation(first: Array, second: Array) -> float:
     """Spearman's coefficient; 0 where one of them is constant."""
     if np.ptp(first) == 0 or np.ptp(second) == 0:
         return 0.0
@@ -87,7 +86,7 @@ class InvertedReport:
         self._images: Counter[str] = Counter()
         self._inverted: Counter[str] = Counter()
 
-    def add(self, name: str, image: npt.NDArray[Any], levels: Grey) -> None:
+    def add(self, name: str, image: Array, levels: Array) -> None:
         """An image as it is stored.  name: of its file.  levels: its grey values, in 0..1."""
         white = white_of(image) / FULL_SCALE[str(image.dtype)]
         self._images[name] += 1

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .images import Grey
+from ...factory.common.array_types import Float32s
 
-Maps = Mapping[str, Grey]
+Maps = Mapping[str, Float32s]
 """Planes of an image by the names of `models.networks`, (H, W) each."""
-Positions = Sequence[Grey]
+Positions = Sequence[Float32s]
 """Rows and columns of places in an image, pixels."""
 _SMALLEST = np.float32(1e-6)
 
@@ -77,7 +77,7 @@ def polar_grid(maps: Maps) -> FanCells | None:
     )
 
 
-def _in_pixels(positions: Positions, shape: tuple[int, ...]) -> list[Grey]:
+def _in_pixels(positions: Positions, shape: tuple[int, ...]) -> list[Float32s]:
     """Turn positions from -1 to 1 over a side into pixels; rounds as `grid_sample` does."""
     return [
         ((position + 1) * np.float32(side) - 1) / 2
@@ -85,12 +85,12 @@ def _in_pixels(positions: Positions, shape: tuple[int, ...]) -> list[Grey]:
     ]
 
 
-def _extent(values: Grey) -> tuple[np.float32, np.float32]:
+def _extent(values: Float32s) -> tuple[np.float32, np.float32]:
     least = values.min()
     return least, max(values.max(), least + _SMALLEST)
 
 
-def sampled(image: Grey, positions: Positions) -> Grey:
+def sampled(image: Float32s, positions: Positions) -> Float32s:
     """Interpolate an image at rows and columns in pixels, bilinear; its border is repeated."""
     height, width = image.shape
     row = np.clip(positions[0], 0, height - 1)

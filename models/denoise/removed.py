@@ -17,9 +17,9 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from .temporal.motion import Grey, factors, grey_of, reduced
+from ...factory.common.array_types import Array, UInt8s
+from .temporal.motion import factors, grey_of, reduced
 
 SHOWN = 5.0
 """Standard deviations of the grain from grey to white, and to black, where it is shown."""
@@ -71,11 +71,11 @@ class Removed:
     noisy, denoised: (H, W) or (H, W, C) float32 in 0..1; of colours the mean counts.
     """
 
-    noisy: Grey
-    denoised: Grey
+    noisy: Array
+    denoised: Array
 
     @cached_property
-    def signal(self) -> Grey:
+    def signal(self) -> Array:
         """(H, W) float32: noisy minus denoised, in standard deviations of the local grain.
 
         0 where nothing was insonified.
@@ -83,7 +83,7 @@ class Removed:
         difference = grey_of(self.noisy) - grey_of(self.denoised)
         return np.asarray(difference / self._grain_std * self._insonified, np.float32)
 
-    def shown(self) -> npt.NDArray[np.uint8]:
+    def shown(self) -> UInt8s:
         """(H, W) uint8 to look at: grey where nothing was removed, bright where echoes were."""
         levels = 0.5 + 0.5 * np.clip(self.signal / np.float32(SHOWN), -1, 1)
         return np.asarray(np.rint(levels * 255), np.uint8)
@@ -112,7 +112,7 @@ class Removed:
         return Structure(row, column, furthest.deviation, share)
 
     @cached_property
-    def _insonified(self) -> Grey:
+    def _insonified(self) -> Array:
         """(H, W) float32: 1 where the sonar received anything, else 0."""
         level = cv2.blur(grey_of(self.noisy), (_GRAIN_PX, _GRAIN_PX))
         some = level[::_EVERY_PX, ::_EVERY_PX]
@@ -121,7 +121,7 @@ class Removed:
         return (level > _INSONIFIED * bright).astype(np.float32)
 
     @cached_property
-    def _grain_std(self) -> Grey:
+    def _grain_std(self) -> Array:
         """(H, W): standard deviation of the noisy image around its local mean."""
         noisy = grey_of(self.noisy)
         mean = _local_mean(noisy, self._insonified, (_GRAIN_PX, _GRAIN_PX))
@@ -129,14 +129,14 @@ class Removed:
         return np.asarray(np.sqrt(np.maximum(power, 0)) + np.float32(_LEAST_STD))
 
 
-def _local_mean(plane: Grey, inside: Grey, side_px: tuple[int, int]) -> Grey:
+def _local_mean(plane: Array, inside: Array, side_px: tuple[int, int]) -> Array:
     """Mean over a window (width, height) of the pixels where `inside` is 1, else 0."""
-    masked: Grey = plane * inside
+    masked: Array = plane * inside
     share = np.maximum(cv2.blur(inside, side_px), np.float32(1e-3))
     return np.asarray(cv2.blur(masked, side_px) / share)
 
 
-def _find_furthest_spot(smooth: Grey, inside: Grey, around_px: tuple[int, int]) -> Structure:
+def _find_furthest_spot(smooth: Array, inside: Array, around_px: tuple[int, int]) -> Structure:
     """The spot of a smoothed signal, (H, W), that lies furthest from its surroundings.
 
     inside: (H, W) bool, where to look.  around_px: width and height of the surroundings.

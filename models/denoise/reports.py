@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ...factory.common.array_types import Array
 from ...factory.common.files import write_atomically
-from .images import Denoised, FrameSequence, Pixels
+from .images import Denoised, FrameSequence
 from .inverted import InvertedReport
 from .removed import RemovedReport
 from .temporal.strength import LEAST_MEASURED
@@ -43,7 +44,7 @@ class FileReport:
     inverted: InvertedReport = field(default_factory=InvertedReport)
     warnings: list[str] = field(default_factory=list)
 
-    def add(self, place: str, image: Pixels, denoised: Denoised) -> None:
+    def add(self, place: str, image: Array, denoised: Denoised) -> None:
         """An image of the file.  place: names it in the file; empty for the only one."""
         self.frames += 1
         self.removed.add(place, denoised.removed)

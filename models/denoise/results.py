@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.files import explain_os_errors, remove_stale_temporaries, whole_file
 from ..recordings import SEQUENCES, Recording, SonarFrame
 from ..recordings.base import FULL_SCALE
 from ..recordings.videos import VideoFile
 from ..recordings.views import fan_of, grey_of
-from .images import Pixels
 from .spool import Spool
 from .unfinished import Unfinished
 from .video_writer import TimedImage, VideoPackets, join_packets, target_of
@@ -39,7 +39,7 @@ class ResultWriter(ABC):
     path: Path
 
     @abstractmethod
-    def add(self, frame: SonarFrame, image: Pixels) -> None:
+    def add(self, frame: SonarFrame, image: Array) -> None:
         """Keep the next frame.  image: what became of its samples.  Raises FactoryError."""
 
     @abstractmethod
@@ -77,7 +77,7 @@ class _PingImages(ResultWriter):
             self._count = state["count"]
         remove_stale_temporaries(folder)
 
-    def add(self, frame: SonarFrame, image: Pixels) -> None:
+    def add(self, frame: SonarFrame, image: Array) -> None:
         name = f"{frame.number:06d}"
         self._count = frame.number + 1
         if frame.beams is None:
@@ -114,7 +114,7 @@ class _SpooledResult(ResultWriter):
         self.path = path
         self._spool = _spool_of(unfinished, state)
 
-    def add(self, frame: SonarFrame, image: Pixels) -> None:
+    def add(self, frame: SonarFrame, image: Array) -> None:
         samples = np.ascontiguousarray(image)
         header = {
             "dtype": str(samples.dtype),
@@ -158,7 +158,7 @@ class _VideoResult(ResultWriter):
     def _keep(self, header: State, content: memoryview) -> None:
         _append(self._spool, self.path, header, content)
 
-    def add(self, frame: SonarFrame, image: Pixels) -> None:
+    def add(self, frame: SonarFrame, image: Array) -> None:
         self._packets.add(TimedImage(image, frame.time_s, frame.duration_s))
 
     def state(self) -> State:
@@ -184,14 +184,14 @@ def _append(spool: Spool, path: Path, header: State, content: memoryview) -> Non
         spool.append(header, content)
 
 
-def _fan_image(frame: SonarFrame, samples: Pixels) -> Pixels:
+def _fan_image(frame: SonarFrame, samples: Array) -> Array:
     """The fan of a ping's samples, in their dtype."""
     full = FULL_SCALE[str(samples.dtype)]
     fan = view_of(frame, samples)
     return np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
 
 
-def view_of(frame: SonarFrame, samples: Pixels) -> Pixels:
+def view_of(frame: SonarFrame, samples: Array) -> Array:
     """Samples of a frame as they are looked at: of a ping a fan, float32 in 0..1."""
     if frame.beams is None:
         return samples

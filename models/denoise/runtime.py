@@ -14,15 +14,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array, Bools, Float32s, Int64s
 from ...factory.common.errors import FactoryError
 from ...factory.production.cli.extras import Need, require
 from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
 from ..pretrained.graphs import Graph, find_runnable, unknown_graph
-from .images import Grey
 from .polar import Maps, polar_grid, sampled
 
 _PROBE_SHAPE = (96, 128)
@@ -90,7 +89,7 @@ def structure(model: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in every.items() if key not in _NOT_IN_GRAPH}
 
 
-def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[Any]:
+def give_weights(options: Any, weights: Mapping[str, Array]) -> list[Any]:
     """Put weights into the options of a session whose graph has none.
 
     Returns the arrays whose memory the session uses: keep them as long as the session.
@@ -110,9 +109,7 @@ class _Session(NamedTuple):
     shared_arrays: list[Any]
 
 
-def _session_of(
-    graph: Graph, weights: Mapping[str, npt.NDArray[Any]], providers: list[str]
-) -> _Session:
+def _session_of(graph: Graph, weights: Mapping[str, Array], providers: list[str]) -> _Session:
     """Open a session of a graph with these weights."""
     import onnxruntime
 
@@ -167,7 +164,7 @@ class OnnxNetwork:
         self._mask = bool(model["mask"])
         self._inputs = tuple(node.name for node in self._session.get_inputs())
 
-    def run(self, grey: Grey, maps: Maps) -> tuple[Grey, float]:
+    def run(self, grey: Float32s, maps: Maps) -> tuple[Float32s, float]:
         """Return the image (H, W) with its whole change, and the part of it to apply, 0 to 1.
 
         grey: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
@@ -198,7 +195,7 @@ class OnnxNetwork:
         return np.asarray(image, np.float32), float(weight[0])
 
 
-def inputs_of(grey: Grey, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:
+def inputs_of(grey: Float32s, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:
     """Return the inputs of a graph of `--to runtime` for an image, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
@@ -231,14 +228,14 @@ def inputs_of(grey: Grey, maps: Maps, stride: int, *, is_grid: bool = False) -> 
     }
 
 
-def _cells(plane: Grey, stride: int) -> Grey:
+def _cells(plane: Float32s, stride: int) -> Float32s:
     """Every second pixel of a plane, padded to a multiple of the stride."""
     height, width = plane.shape
     padded = np.pad(plane, ((0, -height % stride), (0, -width % stride)), mode="edge")
     return padded[::2, ::2]
 
 
-def _line_numbers(values: Grey, inside: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.int64]:
+def _line_numbers(values: Float32s, inside: Bools, count: int) -> Int64s:
     """The index of each value among `count` even steps between the extremes inside."""
     least, most = (values[inside].min(), values[inside].max()) if inside.any() else (0, 1)
     extent = max(np.float32(most) - np.float32(least), np.float32(1e-6))
@@ -269,7 +266,7 @@ class TorchNetwork:
         self.wide_grain = network.wide_grain
         self.average_cells = network.average_cells
 
-    def run(self, grey: Grey, maps: Maps) -> tuple[Grey, float]:
+    def run(self, grey: Float32s, maps: Maps) -> tuple[Float32s, float]:
         """See `OnnxNetwork`."""
         import torch
 

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Grey = npt.NDArray[np.float32]
+from ...factory.common.array_types import Float32s
 
 _NEAR_WHITE = np.float32(0.98)  # of the largest grey value: codecs change clipped samples a little
 _SIDE_PX = 5  # of a square that must be clipped
 _BRIGHT = 0.02  # a largest grey value below it is darkness, not saturation
 
 
-def with_saturated(denoised: Grey, levels: Grey) -> Grey:
+def with_saturated(denoised: Float32s, levels: Float32s) -> Float32s:
     """A denoised image with the saturated echoes of the noisy one, (H, W) or (H, W, C) in 0..1.
 
     An echo counts as saturated where a square of `_SIDE_PX` is as bright as the brightest pixel.

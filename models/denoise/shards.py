@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.files import write_atomically
 from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ..recordings.inputs import InputFile
-from .images import Denoised, Pixels
+from .images import Denoised
 from .job import DenoisingJob
 from .reports import FileReport
 from .temporal.stream import SequenceFrame
@@ -39,8 +40,8 @@ class _Images(NamedTuple):
     """A row with its images, as stored."""
 
     sample: _Sample
-    noisy: Pixels
-    clean: Pixels
+    noisy: Array
+    clean: Array
 
 
 class _Shard:
@@ -60,9 +61,9 @@ class _Shard:
         self.shown: list[Compared] = []
         self.report = FileReport(str(item.relative))
         self._source: h5py.File | None = None
-        self._denoised: Pixels | None = None
+        self._denoised: Array | None = None
 
-    def images(self, row: int) -> tuple[Pixels, Pixels]:
+    def images(self, row: int) -> tuple[Array, Array]:
         """Noisy and clean as stored.  Raises FactoryError for a damaged one."""
         from ...factory.dataset.reader import ImageStack
 
@@ -75,13 +76,13 @@ class _Shard:
 
         return value_range(self._opened())
 
-    def place(self, row: int, _: Pixels) -> FanGeometry | None:
+    def place(self, row: int, _: Array) -> FanGeometry | None:
         """Where range and bearing are in an image."""
         if self.sonar is None:
             return None
         return FanGeometry.from_record(self.sonar, self.table[row])
 
-    def put(self, row: int, image: Pixels) -> None:
+    def put(self, row: int, image: Array) -> None:
         """Keep the result of a row."""
         if self._denoised is None:
             noisy = self._opened()["noisy"]

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array
 from ..recordings.base import FULL_SCALE
-
-Image = npt.NDArray[Any]
 
 _CHANGED_SHARE = 0.005  # of the pixels: fewer are none
 _LEAST_CONTRAST = 0.02  # of full scale: what is darker or flat has nothing to denoise
@@ -26,7 +23,7 @@ class UnchangedReport:
         self._images: Counter[str] = Counter()
         self._bright = 0
 
-    def add(self, name: str, image: Image, denoised: Image) -> None:
+    def add(self, name: str, image: Array, denoised: Array) -> None:
         """An image, (H, W) or (H, W, C), with what became of it.  name: of its file."""
         differs = image != denoised
         if differs.ndim == 3:
@@ -64,12 +61,12 @@ def first_of(names: Sequence[str]) -> str:
     return named if len(names) <= _NAMED else f"{named} and {len(names) - _NAMED} more"
 
 
-def _has_contrast(image: Image) -> bool:
+def _has_contrast(image: Array) -> bool:
     spread = float(image.max()) - float(image.min())
     return spread > _LEAST_CONTRAST * FULL_SCALE[str(image.dtype)]
 
 
-def _has_bright_border(image: Image) -> bool:
+def _has_bright_border(image: Array) -> bool:
     colours = image[..., :3].mean(axis=2) if image.ndim == 3 else image
     border = np.concatenate([colours[0], colours[-1], colours[:, 0], colours[:, -1]])
     return bool(np.median(border) > _BRIGHT * float(colours.max()))

@@ -17,20 +17,18 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ..recordings.videos import VideoProperties, narrowed
 from .pixel_aspect import state_pixel_aspect
-
-Image = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
 class TimedImage:
     """An image of a sequence, (H, W) or (H, W, 3) BGR, and when it is shown; None: unknown."""
 
-    image: Image
+    image: Array
     time_s: float | None = None
     duration_s: float | None = None
 
@@ -303,7 +301,7 @@ class _StreamWriter:
         self.last_tick = max(tick, self.last_tick + self._least_step)
         return self.last_tick
 
-    def _frame(self, image: Image) -> Any:
+    def _frame(self, image: Array) -> Any:
         """The frame of an image, in the pixel format of the stream."""
         if image.dtype != np.uint8:
             image = narrowed(image, self._depth)
@@ -323,7 +321,7 @@ class _StreamWriter:
         red_first = np.ascontiguousarray(image[..., ::-1])
         return self._av.VideoFrame.from_ndarray(red_first, format="rgb48le")
 
-    def _of_planes(self, planes: list[Image]) -> Any:
+    def _of_planes(self, planes: list[Array]) -> Any:
         height, width = self.size
         frame = self._av.VideoFrame(width, height, self._format)
         dtype = np.dtype(np.uint8 if self._depth == 8 else "<u2")

@@ -14,9 +14,8 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from .images import Grey
+from ...factory.common.array_types import Float32s, Float64s
 from .polar import FanCells, Maps, polar_grid, sampled
 
 _LEAST_SIDE = 192
@@ -32,7 +31,7 @@ _LEAST_POWER = 1e-6
 _LEAST_GREY = np.float32(1e-4)
 
 
-def by_cells(grey: Grey, maps: Maps, denoise: Callable[[Grey, Maps], Grey]) -> Grey:
+def by_cells(grey: Float32s, maps: Maps, denoise: Callable[[Float32s, Maps], Float32s]) -> Float32s:
     """`denoise` of an image, (H, W) in 0..1, on a grid of its cells where these are wide.
 
     maps: planes of the image, (H, W), among them `range_fraction` and `azimuth_rad` where known.
@@ -63,12 +62,12 @@ def by_cells(grey: Grey, maps: Maps, denoise: Callable[[Grey, Maps], Grey]) -> G
     return np.asarray(np.clip(restored, 0, 1), np.float32)
 
 
-def _mean_of_cells(plane: Grey, rows: int, columns: int) -> Grey:
+def _mean_of_cells(plane: Float32s, rows: int, columns: int) -> Float32s:
     """(rows, columns) means of a finer polar grid."""
     return np.asarray(cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA))
 
 
-def _maps_of_cells(maps: Maps, grid: FanCells, rows: int, columns: int) -> dict[str, Grey]:
+def _maps_of_cells(maps: Maps, grid: FanCells, rows: int, columns: int) -> dict[str, Float32s]:
     """The maps of a grid with one place for each cell, (rows, columns) each."""
     range_fraction = _mean_of_cells(grid.cells["range_fraction"], rows, columns)
     azimuth_rad = _mean_of_cells(grid.cells["azimuth_rad"], rows, columns)
@@ -83,7 +82,7 @@ def _maps_of_cells(maps: Maps, grid: FanCells, rows: int, columns: int) -> dict[
     return cell_maps
 
 
-def cell_width(grid_values: Grey) -> float:
+def cell_width(grid_values: Float32s) -> float:
     """Width of a sonar's cells in places of a polar grid, (H, W), from its far half; 1 or more.
 
     Grain that is interpolated bends where its cells meet, and is nearly straight between.  Its
@@ -102,7 +101,7 @@ def cell_width(grid_values: Grey) -> float:
     return max(1.0, float(vertex) / _LAG_OF_PIXELS)
 
 
-def _bend_similarity(lines: Grey) -> npt.NDArray[np.float64]:
+def _bend_similarity(lines: Float32s) -> Float64s:
     """Autocorrelation of second differences along columns at lags 1 to `_MOST_LAGS`.
 
     Zeros where the lines are dark, or without grain.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, TiffImagePlugin
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ...factory.common.files import whole_file, write_atomically
 from ..recordings.animations import Animation
@@ -24,8 +24,6 @@ from ..recordings.videos import VideoFile
 from .animation_writer import write_animation
 from .removed import SHOWN
 from .video_writer import TimedImage, target_of, write_video
-
-Pixels = npt.NDArray[Any]
 
 COMPARED = 4  # images of one file that `--compare` shows
 CAPTION_PX = 20  # height of the line with the names
@@ -45,12 +43,12 @@ class Compared(NamedTuple):
     removed: see `Removed.shown`.  clean: None where it is unknown.
     """
 
-    noisy: Pixels
-    denoised: Pixels
-    removed: Pixels
-    clean: Pixels | None = None
+    noisy: Array
+    denoised: Array
+    removed: Array
+    clean: Array | None = None
 
-    def panels(self) -> dict[str, Pixels]:
+    def panels(self) -> dict[str, Array]:
         """By their captions, from left to right."""
         captions = {
             "noisy": self.noisy,
@@ -106,7 +104,7 @@ def _write_pages(partial: Path, images: Iterable[TimedImage], tags: Tags) -> Non
             pages.newFrame()
 
 
-def write_image(path: Path, image: Pixels, *, largest: int | None = None) -> None:
+def write_image(path: Path, image: Array, *, largest: int | None = None) -> None:
     """An image by the suffix of its name.  FrameError when the format does not hold it.
 
     largest: number of white in a PGM file whose source has its own; None: full scale.
@@ -131,7 +129,7 @@ def write_compared(path: Path, rows: Sequence[Compared]) -> None:
     write_image(path, np.vstack(lines))
 
 
-def side_by_side(panels: Mapping[str, Pixels]) -> Pixels:
+def side_by_side(panels: Mapping[str, Array]) -> Array:
     """(H, W, 3) uint8: panels of one size, (H, W) or (H, W, C), under their captions."""
     line = _joined(panels)
     width = next(iter(panels.values())).shape[1]
@@ -141,14 +139,14 @@ def side_by_side(panels: Mapping[str, Pixels]) -> Pixels:
     return np.vstack([header, line])
 
 
-def _joined(panels: Mapping[str, Pixels]) -> Pixels:
+def _joined(panels: Mapping[str, Array]) -> Array:
     """Panels from left to right with gaps between."""
     gap = np.full((len(next(iter(panels.values()))), _GAP_PX, 3), 128, np.uint8)
     parts = [part for panel in panels.values() for part in (gap, in_colour(panel))]
     return np.hstack(parts[1:])
 
 
-def _write_caption(header: Pixels, caption: str, left: int, width: int) -> None:
+def _write_caption(header: Array, caption: str, left: int, width: int) -> None:
     """Draw a caption into the header, no wider than its panel."""
     font = cv2.FONT_HERSHEY_SIMPLEX
     (full_width, _), _ = cv2.getTextSize(caption, font, 1.0, 1)
@@ -158,7 +156,7 @@ def _write_caption(header: Pixels, caption: str, left: int, width: int) -> None:
     cv2.putText(header, caption, position, font, scale, white, 1, cv2.LINE_AA)
 
 
-def in_colour(image: Pixels) -> Pixels:
+def in_colour(image: Array) -> Array:
     """An image, uint8, uint16 or float in 0..1, as (H, W, 3) uint8."""
     full = 1.0 if image.dtype.kind == "f" else FULL_SCALE[str(image.dtype)]
     levels = np.rint(np.clip(image / full, 0, 1) * 255).astype(np.uint8)

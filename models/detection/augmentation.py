@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Bools, Float32s, Int64s
 from .boxes import Boxes, areas, clip_boxes, mirror_boxes
 from .clutter import add_clutter, add_shadows
-from .images import Labels, WorkingImage
+from .images import WorkingImage
 from .normalise import normalise
 
-Values = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
 Generator = np.random.Generator
 
 _VISIBLE = 0.4  # an object keeps its box while so much of it is inside the image
 
 
-def place_unchanged(working: WorkingImage, shape: tuple[int, int]) -> tuple[Values, Boxes, Labels]:
+def place_unchanged(
+    working: WorkingImage, shape: tuple[int, int]
+) -> tuple[Float32s, Boxes, Int64s]:
     """Network input (3, H, W), boxes and labels of an image in a corner of a canvas."""
     image = np.zeros(shape, np.float32)
     is_fan = np.zeros(shape, bool)
@@ -30,7 +30,7 @@ def place_unchanged(working: WorkingImage, shape: tuple[int, int]) -> tuple[Valu
 
 def vary(
     working: WorkingImage, shape: tuple[int, int], rng: Generator, *, with_clutter: bool
-) -> tuple[Values, Boxes, Labels]:
+) -> tuple[Float32s, Boxes, Int64s]:
     """A varied copy: network input (3, H, W), boxes and labels.
 
     shape: H and W of the canvas.  with_clutter: whether unlabelled echoes are drawn over it, for
@@ -49,7 +49,7 @@ def vary(
 
 def _place(
     working: WorkingImage, shape: tuple[int, int], rng: Generator
-) -> tuple[Values, Mask, Boxes, Labels]:
+) -> tuple[Float32s, Bools, Boxes, Int64s]:
     """The image mirrored, scaled and moved at random; objects that left the canvas are dropped."""
     source = working.labelled
     height, width = shape
@@ -85,7 +85,7 @@ def _place(
     return values, fan > 0, clipped[is_visible], source.labels[is_visible]
 
 
-def _vary_gain(image: Values, rng: Generator) -> Values:
+def _vary_gain(image: Float32s, rng: Generator) -> Float32s:
     """Gain over the image and over range, and the edge of a brighter or darker floor."""
     height, width = image.shape
     coarse = rng.normal(0, 0.15, (5, 3)).astype(np.float32)
@@ -100,7 +100,7 @@ def _vary_gain(image: Values, rng: Generator) -> Values:
     return np.asarray(gained, np.float32)
 
 
-def _range_step(height: int, width: int, rng: Generator) -> Values:
+def _range_step(height: int, width: int, rng: Generator) -> Float32s:
     """A step of the logarithmic gain at one range, (H, W): where the beam meets the floor."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     apex_y = height * float(rng.uniform(1.2, 1.6))
@@ -111,7 +111,7 @@ def _range_step(height: int, width: int, rng: Generator) -> Values:
     return np.asarray(step * 0.5 * np.tanh((radius - edge) / softness), np.float32)
 
 
-def _vary_grain(image: Values, rng: Generator) -> Values:
+def _vary_grain(image: Float32s, rng: Generator) -> Float32s:
     """Blur, speckle, a noise floor and lines along the range."""
     height, width = image.shape
     if rng.random() < 0.5:
@@ -129,7 +129,7 @@ def _vary_grain(image: Values, rng: Generator) -> Values:
     return np.asarray(np.maximum(image, 0), np.float32)
 
 
-def _noise(shape: tuple[int, int], blur_px: float, rng: Generator) -> Values:
+def _noise(shape: tuple[int, int], blur_px: float, rng: Generator) -> Float32s:
     """Gaussian noise with standard deviation 1 and a grain of about `blur_px`."""
     noise = rng.standard_normal(shape, np.float32)
     if blur_px < 0.25:

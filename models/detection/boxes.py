@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Boxes = npt.NDArray[np.float32]
+from ...factory.common.array_types import Float32s
+
+Boxes = Float32s
 
 
 def no_boxes() -> Boxes:
@@ -13,13 +14,13 @@ def no_boxes() -> Boxes:
     return np.zeros((0, 4), np.float32)
 
 
-def areas(boxes: Boxes) -> npt.NDArray[np.float32]:
+def areas(boxes: Boxes) -> Float32s:
     """(N,) px²; 0 for a box without extent."""
     sides = np.maximum(boxes[:, 2:] - boxes[:, :2], 0)
     return np.asarray(sides[:, 0] * sides[:, 1], np.float32)
 
 
-def overlaps(first: Boxes, second: Boxes) -> npt.NDArray[np.float32]:
+def overlaps(first: Boxes, second: Boxes) -> Float32s:
     """(N, M) px²: the area that each box of the first shares with each of the second."""
     low = np.maximum(first[:, None, :2], second[None, :, :2])
     high = np.minimum(first[:, None, 2:], second[None, :, 2:])
@@ -27,14 +28,14 @@ def overlaps(first: Boxes, second: Boxes) -> npt.NDArray[np.float32]:
     return np.asarray(sides[..., 0] * sides[..., 1], np.float32)
 
 
-def intersection_over_union(first: Boxes, second: Boxes) -> npt.NDArray[np.float32]:
+def intersection_over_union(first: Boxes, second: Boxes) -> Float32s:
     """(N, M) in 0..1."""
     shared = overlaps(first, second)
     union = areas(first)[:, None] + areas(second)[None] - shared
     return np.asarray(shared / np.maximum(union, 1e-6), np.float32)
 
 
-def share_inside(inner: Boxes, outer: Boxes) -> npt.NDArray[np.float32]:
+def share_inside(inner: Boxes, outer: Boxes) -> Float32s:
     """(N, M) in 0..1: which part of each first box lies inside each second one."""
     return np.asarray(overlaps(inner, outer) / np.maximum(areas(inner), 1e-6)[:, None], np.float32)
 
@@ -58,7 +59,7 @@ def mirror_boxes(boxes: Boxes, width: int) -> Boxes:
     return mirrored
 
 
-def suppress_duplicates(boxes: Boxes, scores: npt.NDArray[np.float32], iou: float) -> list[int]:
+def suppress_duplicates(boxes: Boxes, scores: Float32s, iou: float) -> list[int]:
     """Numbers of the boxes to keep, best first: none overlaps a better one by more than `iou`."""
     overlap = intersection_over_union(boxes, boxes)
     kept: list[int] = []

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Float32s
 from .boxes import Boxes
 
-Values = npt.NDArray[np.float32]
 Generator = np.random.Generator
 
 _WALL_COVER = 0.1  # a wall covers at most this share of any object
 
 
-def add_clutter(image: Values, boxes: Boxes, rng: Generator) -> Values:
+def add_clutter(image: Float32s, boxes: Boxes, rng: Generator) -> Float32s:
     """The image with a few unlabelled echoes, (H, W) in 0..1; none lies over most of an object."""
     layer = np.zeros(image.shape, np.float32)
     for _ in range(int(rng.integers(0, 7))):
@@ -35,7 +34,7 @@ def add_clutter(image: Values, boxes: Boxes, rng: Generator) -> Values:
     return np.asarray(np.clip(np.maximum(image, blurred * grain), 0, 1), np.float32)
 
 
-def add_shadows(image: Values, rng: Generator) -> Values:
+def add_shadows(image: Float32s, rng: Generator) -> Float32s:
     """The image with dark sectors along the range, as behind what is outside the image."""
     height, width = image.shape
     layer = np.ones(image.shape, np.float32)
@@ -57,7 +56,7 @@ def add_shadows(image: Values, rng: Generator) -> Values:
     return np.asarray(image * cv2.GaussianBlur(layer, (0, 0), 1.5), np.float32)
 
 
-def _draw_rope(layer: Values, rng: Generator) -> None:
+def _draw_rope(layer: Float32s, rng: Generator) -> None:
     """A straight or dashed line in any direction."""
     height, width = layer.shape
     start = rng.uniform((0, 0), (width, height))
@@ -73,7 +72,7 @@ def _draw_rope(layer: Values, rng: Generator) -> None:
         cv2.line(layer, first, last, (level,), thickness)
 
 
-def _draw_grid(layer: Values, rng: Generator) -> None:
+def _draw_grid(layer: Float32s, rng: Generator) -> None:
     """Rows of dots or short strokes, as rails and ladders show."""
     height, width = layer.shape
     x, y = rng.uniform((0, 0), (width, height))
@@ -87,7 +86,7 @@ def _draw_grid(layer: Values, rng: Generator) -> None:
             cv2.line(layer, start, (start[0], start[1] + stroke), (level,), 1)
 
 
-def _draw_blob(layer: Values, rng: Generator) -> None:
+def _draw_blob(layer: Float32s, rng: Generator) -> None:
     """A small echo of no particular shape."""
     height, width = layer.shape
     x, y = rng.uniform((0, 0), (width, height))
@@ -98,7 +97,7 @@ def _draw_blob(layer: Values, rng: Generator) -> None:
         cv2.ellipse(layer, centre, axes, float(rng.uniform(-40, 40)), 0, 360, (level,), -1)
 
 
-def _draw_arc(layer: Values, rng: Generator) -> None:
+def _draw_arc(layer: Float32s, rng: Generator) -> None:
     """A line of constant range: a sidelobe, a seam of the floor, or a wall's foot."""
     height, width = layer.shape
     apex = (width // 2, int(height * rng.uniform(1.2, 1.6)))
@@ -110,7 +109,7 @@ def _draw_arc(layer: Values, rng: Generator) -> None:
     cv2.ellipse(layer, apex, (radius, radius), 0, *ends_deg, (level,), int(rng.integers(1, 4)))
 
 
-def _wall(height: int, width: int, rng: Generator) -> Values:
+def _wall(height: int, width: int, rng: Generator) -> Float32s:
     """A wide striped band across the far part of the fan, (H, W)."""
     layer = np.zeros((height, width), np.float32)
     y = float(rng.uniform(-0.02, 0.25)) * height
@@ -127,7 +126,7 @@ def _wall(height: int, width: int, rng: Generator) -> Values:
     return layer
 
 
-def _covers_objects(wall: Values, boxes: Boxes) -> bool:
+def _covers_objects(wall: Float32s, boxes: Boxes) -> bool:
     for left, top, right, bottom in boxes.astype(int):
         part = wall[max(top, 0) : bottom, max(left, 0) : right]
         if part.size and (part > 0).mean() > _WALL_COVER:

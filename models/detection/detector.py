@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ...factory.common.array_types import Float32s, Int64s, UInt8s
 from . import SHIPPED_NAME, find_detector
 from .augmentation import place_unchanged
 from .boxes import (
@@ -22,7 +22,7 @@ from .boxes import (
     no_boxes,
     suppress_duplicates,
 )
-from .images import LabelledImage, Labels, WorkingImage, canvas_shape, scale_image
+from .images import LabelledImage, WorkingImage, canvas_shape, scale_image
 from .network import DIVISOR, STRIDE, DetectorNetwork, Outputs
 from .weights import TrainedDetector, load_detector
 
@@ -42,8 +42,8 @@ class Detections:
     """
 
     boxes: Boxes
-    scores: npt.NDArray[np.float32]
-    labels: Labels
+    scores: Float32s
+    labels: Int64s
 
 
 class FoundObject(NamedTuple):
@@ -62,9 +62,7 @@ def no_detections() -> Detections:
     return Detections(no_boxes(), np.zeros(0, np.float32), np.zeros(0, np.int64))
 
 
-def find_objects(
-    images: Sequence[npt.NDArray[np.uint8]], detector: str = SHIPPED_NAME
-) -> list[list[FoundObject]]:
+def find_objects(images: Sequence[UInt8s], detector: str = SHIPPED_NAME) -> list[list[FoundObject]]:
     """What a detector finds in grey images, best first.
 
     images: (H, W) uint8 each, 0 outside the fan.  detector: a file that `simnfnd evaluate transfer`
@@ -126,7 +124,7 @@ def _fuse(views: Sequence[Detections]) -> Detections:
     order = np.argsort(-scores, kind="stable")
     overlap = intersection_over_union(boxes, boxes)
     is_free = np.ones(len(boxes), bool)
-    fused: list[tuple[npt.NDArray[np.float32], float, int]] = []
+    fused: list[tuple[Float32s, float, int]] = []
     for best in order:
         if not is_free[best]:
             continue

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Bools, Int64s, UInt8s
 from .boxes import Boxes
-
-Grey = npt.NDArray[np.uint8]
-Labels = npt.NDArray[np.int64]
 
 SIDE_PX = 160
 """The longer side of an image that the detector learns from."""
@@ -31,9 +28,9 @@ class LabelledImage:
 
     name: str
     group: str
-    image: Grey
+    image: UInt8s
     boxes: Boxes
-    labels: Labels
+    labels: Int64s
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +42,7 @@ class WorkingImage:
 
     labelled: LabelledImage
     scale: float
-    is_fan: npt.NDArray[np.bool_]
+    is_fan: Bools
 
 
 def scale_image(source: LabelledImage, side_px: int = SIDE_PX) -> WorkingImage:
@@ -65,7 +62,7 @@ def scale_image(source: LabelledImage, side_px: int = SIDE_PX) -> WorkingImage:
     return WorkingImage(scaled, scale, find_fan(image))
 
 
-def find_fan(image: Grey) -> npt.NDArray[np.bool_]:
+def find_fan(image: UInt8s) -> Bools:
     """(H, W) bool: the convex hull of all pixels that are not black.
 
     Bearings without an echo are black but belong to the fan; a sonar shows its noise there.

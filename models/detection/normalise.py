@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtri
+
+from ...factory.common.array_types import Bools, Float32s
 
 CHANNELS = 3
 
@@ -19,11 +20,8 @@ _DARKEST = 0.02  # added before the logarithm, as a share of full scale
 _GREATEST_CONTRAST = 3.0  # standard deviations
 _LEVELS = 1024
 
-Values = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
 
-
-def normalise(image: Values, is_fan: Mask) -> Values:
+def normalise(image: Float32s, is_fan: Bools) -> Float32s:
     """(3, H, W) float32: grey value in -1..1, local contrast in -1..1, and the fan as 0 or 1.
 
     image: (H, W) >= 0.  is_fan: (H, W) bool; outside it all channels are 0.
@@ -38,7 +36,7 @@ def normalise(image: Values, is_fan: Mask) -> Values:
     return np.stack([grey, contrast, fan])
 
 
-def _rank(values: Values, is_fan: Mask) -> Values:
+def _rank(values: Float32s, is_fan: Bools) -> Float32s:
     """The share of the pixels of the fan that are darker, (H, W) in 0..1, both exclusive."""
     inside = values[is_fan]
     if not inside.size:
@@ -51,7 +49,7 @@ def _rank(values: Values, is_fan: Mask) -> Values:
     return np.asarray(shares[levels], np.float32)
 
 
-def _local_contrast(grey: Values, fan: Values) -> Values:
+def _local_contrast(grey: Float32s, fan: Float32s) -> Float32s:
     """(grey - local mean) / local deviation of the smoothed image, clipped, in -1..1."""
     smooth = np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), np.float32)
     mean = _local_mean(smooth, fan, _NARROW_PX)
@@ -61,7 +59,7 @@ def _local_contrast(grey: Values, fan: Values) -> Values:
     return np.asarray(np.clip(contrast, -1, 1), np.float32)
 
 
-def _local_mean(values: Values, fan: Values, side_px: int) -> Values:
+def _local_mean(values: Float32s, fan: Float32s, side_px: int) -> Float32s:
     """Mean of the pixels of the fan in a square window, (H, W)."""
     size = (side_px, side_px)
     return np.asarray(cv2.blur(values * fan, size) / (cv2.blur(fan, size) + 1e-6), np.float32)

@@ -5,21 +5,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ...factory.common.array_types import Float32s, Int64s
 from .boxes import Boxes
-from .images import UNKNOWN, Labels
+from .images import UNKNOWN
 from .network import STRIDE, Outputs
 
 _SPREAD = 0.13  # standard deviation of a centre's peak, as a share of the side of the box
 _TAUGHT = 0.45  # cells with at least this heat teach the sides and the class
 _SIDES_WEIGHT = 2.0
 _CLASS_WEIGHT = 0.3
-
-Values = npt.NDArray[np.float32]
 
 
 class Targets(NamedTuple):
@@ -36,8 +34,8 @@ class Targets(NamedTuple):
 
 
 def draw_targets(
-    boxes: Boxes, labels: Labels, height: int, width: int
-) -> tuple[Values, Values, Values, Labels]:
+    boxes: Boxes, labels: Int64s, height: int, width: int
+) -> tuple[Float32s, Float32s, Float32s, Int64s]:
     """heat, sides, weight and label of one image of height x width pixels, as in `Targets`."""
     rows = height // STRIDE
     columns = width // STRIDE

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.simulation.imaging.effect import ARTEFACTS
 
@@ -72,12 +73,12 @@ def build_network(config: Mapping[str, Any]) -> Network:
     return network
 
 
-def vector(removed: Collection[str]) -> npt.NDArray[np.float32]:
+def vector(removed: Collection[str]) -> Float32s:
     """(6,) float32 by the order of `ARTEFACTS`: 1 to remove one, 0 to keep it."""
     return np.array([name in removed for name in ARTEFACTS], np.float32)
 
 
-def averaged(frames: npt.ArrayLike) -> npt.NDArray[np.float32]:
+def averaged(frames: npt.ArrayLike) -> Float32s:
     """log2 of how many independent frames are worth so many that were averaged, 1 or more."""
     counted = np.clip(np.asarray(frames, np.float32), 1, _MOST_FRAMES)
     return np.asarray(_INDEPENDENT * np.log2(counted), np.float32)

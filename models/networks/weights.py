@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 
+from ...factory.common.array_types import Array, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import write_atomically
 from . import build_network
@@ -27,7 +27,7 @@ KEY = "simnfnd"
 """One header entry, because safetensors does not keep the order of several."""
 
 Header = dict[str, Any]
-Arrays = dict[str, npt.NDArray[Any]]
+Arrays = dict[str, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ def _check_header(path: str | Path, header: Any) -> None:
         )
 
 
-def _checked(path: str | Path, name: str, tensor: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+def _checked(path: str | Path, name: str, tensor: Array) -> Float32s:
     """A tensor in 32 bits.  FactoryError for one that is empty, or holds no finite floats."""
     if tensor.dtype.kind != "f":
         raise FactoryError(

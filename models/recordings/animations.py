@@ -17,18 +17,9 @@ from typing import IO
 import numpy as np
 from PIL import Image
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
-from .base import (
-    Ended,
-    Recording,
-    Samples,
-    SonarFrame,
-    ask_bytes,
-    ask_pixels,
-    explained,
-    swapped,
-    untinted,
-)
+from .base import Ended, Recording, SonarFrame, ask_bytes, ask_pixels, explained, swapped, untinted
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEAD_BYTES = 4096  # within which a PNG says that it is animated
@@ -119,7 +110,7 @@ class Animation(Recording):
         return SonarFrame(number, _samples_of(image), duration_s=duration_s)
 
 
-def _samples_of(image: Image.Image) -> Samples:
+def _samples_of(image: Image.Image) -> Array:
     if image.mode == "I;16":
         return np.array(image, np.uint16)
     if image.mode == "L":

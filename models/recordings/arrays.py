@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.isolated import call_isolated
 from .base import (
@@ -20,7 +21,6 @@ from .base import (
     ARRAY_SUFFIXES,
     HDF5_SUFFIXES,
     Recording,
-    Samples,
     SonarFrame,
     as_samples,
     ask_bytes,
@@ -81,7 +81,7 @@ class ArrayFile(Recording):
             )
 
     @cached_property
-    def stored(self) -> Samples:
+    def stored(self) -> Array:
         """See the class; unpacked when it is first asked for."""
         with explained(f"{self.path}: cannot be read; is the file damaged?", reason=True):
             return _load(self.path, self._listed)
@@ -161,7 +161,7 @@ def _listed(path: Path, changed_ns: int) -> list[Listed]:
     return [list_npy(path)]
 
 
-def _load(path: Path, listed: Listed) -> Samples:
+def _load(path: Path, listed: Listed) -> Array:
     """An array of a file.  May raise nearly anything."""
     suffix = path.suffix.lower()
     if suffix in HDF5_SUFFIXES:

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.small_files import open_regular
 
@@ -32,7 +32,6 @@ ARRAY_SUFFIXES = (ARRAY_SUFFIX, ".npz", ".mat")
 IMAGE_SUFFIXES = (".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX)
 FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
-Samples = npt.NDArray[Any]
 
 # Times its size that an untrusted file may unpack to; a small one to `ALWAYS_BYTES`, and none to
 # more than `MOST_BYTES` at once.  Raw sonar images are mostly black and pack 5 to 50 times.
@@ -103,7 +102,7 @@ class SonarFrame:
     """
 
     number: int
-    samples: Samples
+    samples: Array
     beams: Beams | None = None
     time_s: float | None = None
     duration_s: float | None = None
@@ -262,14 +261,14 @@ def ask_pixels(name: str, width: float, height: float) -> None:
         raise FrameError(f"{name}: {width:.0f} x {height:.0f} pixels are {TOO_LARGE}")
 
 
-def swapped(image: Samples) -> Samples:
+def swapped(image: Array) -> Array:
     """(H, W) or (H, W, C), red first as blue first or the other way round, in native byte order."""
     if image.ndim == 3 and image.shape[2] >= 3:
         image = np.concatenate([image[..., 2::-1], image[..., 3:]], axis=2)
     return image.astype(image.dtype.newbyteorder("="), copy=False)
 
 
-def untinted(image: Samples) -> Samples:
+def untinted(image: Array) -> Array:
     """(H, W) of a grey image, (H, W, 3) uint8 or uint16, of nearly equal channels; others as is."""
     import cv2  # sonars' own recordings do without
 
@@ -280,7 +279,7 @@ def untinted(image: Samples) -> Samples:
     return np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
-def as_samples(page: Samples, name: str) -> Samples:
+def as_samples(page: Array, name: str) -> Array:
     """A page whose numbers are grey values as they are: uint8, uint16, or floats as float32.
 
     name: names it in errors.  Raises FrameError for other dtypes, NaN and floats outside 0..1.

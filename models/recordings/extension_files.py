@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ...factory.common import extensions
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from .base import (
     FULL_SCALE,
@@ -27,7 +28,6 @@ from .base import (
     Beams,
     Ended,
     Recording,
-    Samples,
     SonarFrame,
     explained,
 )
@@ -207,7 +207,7 @@ def checked_frame(frame: Any, number: int, name: str) -> SonarFrame:
     )  # fmt: skip
 
 
-def _checked_samples(samples: Any, name: str) -> Samples:
+def _checked_samples(samples: Any, name: str) -> Array:
     if not isinstance(samples, np.ndarray):
         raise FrameError(f"{name}: samples are a {type(samples).__name__}, no array")
     native = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
@@ -221,7 +221,7 @@ def _checked_samples(samples: Any, name: str) -> Samples:
     return native
 
 
-def _check_beams(beams: Beams, samples: Samples, name: str) -> None:
+def _check_beams(beams: Beams, samples: Array, name: str) -> None:
     fits = samples.ndim == 2 and 2 <= len(samples) <= MOST_RANGES
     count = len(beams.azimuths_rad)
     if not fits or samples.shape[1] != count or not 2 <= count <= MOST_BEAMS:

@@ -11,18 +11,17 @@ a screen alone, and last a V of white lines, as chart plotters draw it.  The ste
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Array, Bools, UInt8s
 from ...factory.dataset.fan_geometry import FanGeometry
 from .fans.confidence import measure_confidence
 from .fans.drawn_lines import find_drawn_fan
 from .fans.fit import fit_sector
 from .fans.levels import MAX_BLACK, black_level, grey_bytes, ringing_level
 from .fans.lit_area import crop_lit_area, isolate_largest_area
-from .fans.sector import Bytes, Sector
+from .fans.sector import Sector
 
 _MIN_SIDE_PX = 32  # of an image
 _MIN_CONFIDENCE = 0.7  # share of the outline that must be seen
@@ -34,7 +33,7 @@ _MAX_LIT_OUTSIDE = 0.05  # share of all pixels that may be lit and not in the se
 _GROUND_SPREADS = 2, 6
 
 
-def find_geometry(image: npt.NDArray[Any]) -> FanGeometry | None:
+def find_geometry(image: Array) -> FanGeometry | None:
     """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
 
     In pixels and shares of the largest range; metres cannot be seen.
@@ -57,7 +56,7 @@ def find_geometry(image: npt.NDArray[Any]) -> FanGeometry | None:
     return find_drawn_fan(grey)
 
 
-def _find_on_black(grey: Bytes, min_upright_confidence: float) -> FanGeometry | None:
+def _find_on_black(grey: UInt8s, min_upright_confidence: float) -> FanGeometry | None:
     """The fan on black, in whichever quarter turn it lies.
 
     min_upright_confidence: of a fan with far range on top; others need `_MIN_CONFIDENCE_UNUSUAL`.
@@ -75,7 +74,7 @@ def _find_on_black(grey: Bytes, min_upright_confidence: float) -> FanGeometry | 
     return None
 
 
-def _find_upright(grey: Bytes, min_confidence: float) -> FanGeometry | None:
+def _find_upright(grey: UInt8s, min_confidence: float) -> FanGeometry | None:
     """The fan with far range on top; None where none is found with this confidence."""
     grey = np.ascontiguousarray(grey)
     black = black_level(grey)
@@ -102,7 +101,7 @@ def _find_upright(grey: Bytes, min_confidence: float) -> FanGeometry | None:
     return replace(fan, apex_x_px=fan.apex_x_px + crop.left, apex_y_px=fan.apex_y_px + crop.top)
 
 
-def _lit_outside(lit: npt.NDArray[np.bool_], sector: Sector) -> float:
+def _lit_outside(lit: Bools, sector: Sector) -> float:
     """Share of all pixels that are lit and not in the sector."""
     is_outside = sector.mask(*lit.shape) == 0
     return float((lit & is_outside).mean())

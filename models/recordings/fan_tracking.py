@@ -9,19 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.common.array_types import Array, Bools, Float64s, UInt8s
 from ...factory.dataset.fan_geometry import FanGeometry
 from .fan_finder import find_geometry
 from .fans.confidence import light_ends, outline_pixels
 from .fans.levels import grey_bytes
-
-Bytes = npt.NDArray[np.uint8]
-Shares = npt.NDArray[np.float64]
 
 _KEPT_SHARE = 0.5  # of the outline that was seen when the fan was found
 _LEAST_SPREAD = 6  # of 255: ringing of codecs on a flat ground
@@ -53,10 +50,10 @@ class _TrackedFan:
     geometry: FanGeometry
     inner: npt.NDArray[np.intp]
     outer: npt.NDArray[np.intp]
-    sector: npt.NDArray[np.bool_]
+    sector: Bools
     ground: float
     spread: float
-    shares: Shares
+    shares: Float64s
     inside: float
     outside: float
 
@@ -73,12 +70,12 @@ class FanTracker:
         self._fan: _TrackedFan | None = None
         self._is_away = False
         self._pause = self._waited = 0
-        self._before: Bytes | None = None
-        self._searched_in_vain: Bytes | None = None
+        self._before: UInt8s | None = None
+        self._searched_in_vain: UInt8s | None = None
         self._usual_change: float | None = None
         self._is_cut = False
 
-    def geometry(self, image: npt.NDArray[Any]) -> FanGeometry | None:
+    def geometry(self, image: Array) -> FanGeometry | None:
         """The fan of the next image, (H, W) or (H, W, colours); None where it shows none."""
         grey = grey_bytes(image)
         self._look(grey)
@@ -93,7 +90,7 @@ class FanTracker:
             return None
         return self._searched(image, grey)
 
-    def _searched(self, image: npt.NDArray[Any], grey: Bytes) -> FanGeometry | None:
+    def _searched(self, image: Array, grey: UInt8s) -> FanGeometry | None:
         geometry = find_geometry(image)
         self.searched += 1
         fan = self._fan
@@ -134,7 +131,7 @@ class FanTracker:
         brightness = max(float(thumbnail.mean()), float(searched.mean()))
         return apart > max(_LEAST_CUT, _OTHER_IMAGE * brightness)
 
-    def _look(self, grey: Bytes) -> None:
+    def _look(self, grey: UInt8s) -> None:
         """Notes whether the image differs from the one before as images do after a cut."""
         thumbnail = _thumbnail(grey)
         before = self._before
@@ -147,7 +144,7 @@ class FanTracker:
         self._usual_change = usual + _SHARE_OF_NEWEST * (change - usual)
 
 
-def _fan_of(geometry: FanGeometry, grey: Bytes) -> _TrackedFan:
+def _fan_of(geometry: FanGeometry, grey: UInt8s) -> _TrackedFan:
     inner, outer = outline_pixels(geometry, *grey.shape)
     beside = grey.ravel()[outer[outer >= 0]].astype(np.float64)
     ground = float(np.median(beside)) if beside.size else 0.0
@@ -161,15 +158,15 @@ def _fan_of(geometry: FanGeometry, grey: Bytes) -> _TrackedFan:
     return fan
 
 
-def _is_lit(fan: _TrackedFan, grey: Bytes) -> npt.NDArray[np.bool_]:
+def _is_lit(fan: _TrackedFan, grey: UInt8s) -> Bools:
     return np.asarray(np.abs(grey.astype(np.float32) - np.float32(fan.ground)) > fan.spread)
 
 
-def _shares(fan: _TrackedFan, grey: Bytes) -> Shares:
+def _shares(fan: _TrackedFan, grey: UInt8s) -> Float64s:
     """(3,) part of the left edge, the right edge and the far arc at which the fan ends."""
     lit = _is_lit(fan, grey).ravel()
 
-    def lit_share(indices: npt.NDArray[np.intp]) -> Shares:
+    def lit_share(indices: npt.NDArray[np.intp]) -> Float64s:
         within = indices >= 0
         count = np.maximum(within.sum(axis=2), 1)
         return np.asarray((lit[indices] & within).sum(axis=2) / count, np.float64)
@@ -179,25 +176,25 @@ def _shares(fan: _TrackedFan, grey: Bytes) -> Shares:
     return np.asarray(light_ends(inner, outer).mean(axis=1), np.float64)
 
 
-def _outside_of(fan: _TrackedFan, grey: Bytes) -> float:
+def _outside_of(fan: _TrackedFan, grey: UInt8s) -> float:
     return float((_is_lit(fan, grey) & ~fan.sector).mean())
 
 
-def _inside_of(fan: _TrackedFan, grey: Bytes) -> float:
+def _inside_of(fan: _TrackedFan, grey: UInt8s) -> float:
     return float((_is_lit(fan, grey) & fan.sector).mean())
 
 
-def _shows_other(fan: _TrackedFan, grey: Bytes) -> bool:
+def _shows_other(fan: _TrackedFan, grey: UInt8s) -> bool:
     """Whether an image in which no fan is found shows a title or a menu, not a fan in the dark."""
     more_outside = _outside_of(fan, grey) > fan.outside + _MORE_OUTSIDE
     return more_outside or _inside_of(fan, grey) < _LEAST_INSIDE * fan.inside
 
 
-def _is_kept(fan: _TrackedFan, grey: Bytes) -> bool:
+def _is_kept(fan: _TrackedFan, grey: UInt8s) -> bool:
     return bool((_shares(fan, grey) >= _KEPT_SHARE * fan.shares).all())
 
 
-def _is_dark(fan: _TrackedFan, grey: Bytes) -> bool:
+def _is_dark(fan: _TrackedFan, grey: UInt8s) -> bool:
     """Whether an image shows nothing at all, such as one between two recordings."""
     return not bool(_is_lit(fan, grey).mean() > 0.001)
 
@@ -216,6 +213,6 @@ def _is_same(geometry: FanGeometry, reference: FanGeometry) -> bool:
     )
 
 
-def _thumbnail(grey: Bytes) -> Bytes:
+def _thumbnail(grey: UInt8s) -> UInt8s:
     size = (_THUMBNAIL_PX, _THUMBNAIL_PX)
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)

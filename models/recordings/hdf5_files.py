@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError
-from .base import Samples
 from .listed_arrays import LEAST_SIDE_PX, Listed, Row
 
 _COLOURS = (1, 2, 3, 4)
@@ -119,13 +119,13 @@ def images_first(shape: Sequence[int]) -> list[int]:
     return [sizes[-1], *sizes[:-1]] if counting_axis(sizes) == -1 else sizes
 
 
-def with_images_first(array: Samples) -> Samples:
+def with_images_first(array: Array) -> Array:
     """An array of MATLAB with the axis first that counts images."""
     is_last = counting_axis(array.shape) == -1
     return np.asarray(np.moveaxis(array, -1, 0) if is_last else array)
 
 
-def load_hdf5(path: Path, listed: Listed, *, is_matlab: bool) -> Samples:
+def load_hdf5(path: Path, listed: Listed, *, is_matlab: bool) -> Array:
     """An array of an HDF5 file.  May raise nearly anything."""
     import h5py
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.quiet import quiet_stderr
 from .arrays import ArrayFile, is_table
@@ -19,7 +20,6 @@ from .base import (
     IMAGE_SUFFIXES,
     TOO_LARGE,
     Recording,
-    Samples,
     SonarFrame,
     as_samples,
     ask_pixels,
@@ -58,7 +58,7 @@ class ImageFiles(Recording):
         return SonarFrame(number, read_image(self.files[number]))
 
 
-def read_image(path: Path) -> Samples:
+def read_image(path: Path) -> Array:
     """The pixels of a file as stored, (H, W) or (H, W, colours).  Raises FrameError; see `decoded`.
 
     Of a TIFF of several pages, and of an array of several images, the first.
@@ -73,7 +73,7 @@ def read_image(path: Path) -> Samples:
     return decoded(content, str(path))
 
 
-def decoded(content: bytes, name: str) -> Samples:
+def decoded(content: bytes, name: str) -> Array:
     """The pixels of an image file, (H, W) or (H, W, colours), as people should see it.
 
     name: names it in errors.  Raises FrameError when it cannot be read or is too large.
@@ -97,13 +97,13 @@ def decoded(content: bytes, name: str) -> Samples:
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise FrameError(f"{name}: not a readable image")
-    pixels: Samples = np.asarray(image)
+    pixels: Array = np.asarray(image)
     if directory is not None and directory.is_white_zero and pixels.dtype.kind == "u":
         pixels = np.iinfo(pixels.dtype).max - pixels
     return as_samples(orientation.upright(pixels), name)
 
 
-def read_planes(file: Path | IO[bytes], name: str, page: int = 0) -> Samples:
+def read_planes(file: Path | IO[bytes], name: str, page: int = 0) -> Array:
     """A page of a TIFF file whose colours lie one behind the other, (H, W, C), blue first.
 
     OpenCV and Pillow take those of 16 bits or more for interleaved ones.  name: names the file in

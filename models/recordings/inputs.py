@@ -7,10 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import numpy.typing as npt
-
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import shortened
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -221,9 +219,7 @@ class Geometries:
         self._trackers: dict[tuple[Path, str, tuple[int, ...]], FanTracker] = {}
         self._fans_found: dict[Path, dict[Path, bool]] = {}  # by folder, then by image
 
-    def of(
-        self, item: InputFile, image: npt.NDArray[Any], sequence: str = ""
-    ) -> FanGeometry | None:
+    def of(self, item: InputFile, image: Array, sequence: str = "") -> FanGeometry | None:
         """The geometry of an image of `item`; None where it is not known.
 
         Frames of a recording are to be asked for in order.  sequence: see `Frame`.

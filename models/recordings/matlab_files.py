@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.isolated import call_isolated
-from .base import Samples
 from .hdf5_files import MATLAB_DTYPES, list_hdf5, load_hdf5, matlab_row, with_images_first
 from .listed_arrays import Listed, Row, listed_of_rows
 
@@ -37,7 +37,7 @@ def list_mat(path: Path) -> list[Listed]:
     return listed_of_rows(call_isolated(path, list_matlab, str(path)))
 
 
-def load_mat(path: Path, listed: Listed) -> Samples:
+def load_mat(path: Path, listed: Listed) -> Array:
     """An array of a file, the number of the image first.  May raise nearly anything."""
     if _is_hdf5(_head(path)):
         return load_hdf5(path, listed, is_matlab=True)
@@ -111,7 +111,7 @@ def _of_field(value: Any, field: str) -> Any:
     return content.item() if is_one else content
 
 
-def _joined(value: Any) -> Samples | None:
+def _joined(value: Any) -> Array | None:
     """An array of numbers; of an array of equal ones, all behind each other; None for others."""
     if not value.dtype.hasobject:
         return np.asarray(value)
@@ -123,7 +123,7 @@ def _joined(value: Any) -> Samples | None:
     return np.stack(arrays)
 
 
-def _load_matlab_5(path: Path, listed: Listed) -> Samples:
+def _load_matlab_5(path: Path, listed: Listed) -> Array:
     import scipy.io
 
     name, *fields = listed.name.split(".")

@@ -11,8 +11,9 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
-from .base import ARRAY_SUFFIX, Samples, ask_bytes, swapped
+from .base import ARRAY_SUFFIX, ask_bytes, swapped
 from .listed_arrays import Listed, has_one_image
 
 _FORMAT: Any = np.lib.format  # whose functions are not typed
@@ -125,7 +126,7 @@ def _first_member(path: Path) -> Listed:
     return _whole_part(path, name.removesuffix(ARRAY_SUFFIX), header, min(read_bytes, needed))
 
 
-def load_npy(path: Path, listed: Listed) -> Samples:
+def load_npy(path: Path, listed: Listed) -> Array:
     """The array of a .npy file, mapped.  May raise nearly anything."""
     if listed.parts is None:
         return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
@@ -135,7 +136,7 @@ def load_npy(path: Path, listed: Listed) -> Samples:
     return np.memmap(path, listed.dtype, "r", offset, listed.shape)
 
 
-def load_npz(path: Path, listed: Listed) -> Samples:
+def load_npz(path: Path, listed: Listed) -> Array:
     """An array of a .npz file.  May raise nearly anything."""
     if listed.parts is None:
         with ZipFile(path) as archive, archive.open(listed.name + ARRAY_SUFFIX) as stream:
@@ -147,7 +148,7 @@ def load_npz(path: Path, listed: Listed) -> Samples:
     return np.frombuffer(content, listed.dtype).reshape(listed.shape)
 
 
-def write_array(file: IO[bytes], images: Iterable[Samples], like: Samples) -> None:
+def write_array(file: IO[bytes], images: Iterable[Array], like: Array) -> None:
     """Write a .npy file with the shape and dtype of `like`, image by image.
 
     images: (H, W) or (H, W, colours) in BGR order.  Raises OSError.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .base import Samples
+from ...factory.common.array_types import Array
 
 EXIF_ORIENTATION = 274
 """Number of the Exif (and TIFF) tag."""
@@ -27,7 +27,7 @@ class Orientation:
     reverses_columns: bool = False
     reverses_rows: bool = False
 
-    def upright(self, pixels: Samples) -> Samples:
+    def upright(self, pixels: Array) -> Array:
         """(H, W) or (H, W, C) as people should see it; a copy in one piece where it turns."""
         if self == UPRIGHT:
             return pixels

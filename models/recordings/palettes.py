@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from .base import FULL_SCALE, Samples
+from ...factory.common.array_types import Array, Bools, Float32s, UInt32s
+from .base import FULL_SCALE
 
-Colours = npt.NDArray[np.float32]
+Colours = Float32s
 """(N, 3), 0 to 255."""
-Levels = npt.NDArray[np.float32]
 
 # Of OpenCV; those that end as they begin are no scale of levels.
 _MAPS = (
@@ -68,9 +66,9 @@ class Palette:
 
     name: str
     colours: Colours
-    at: Levels
+    at: Float32s
 
-    def levels(self, colours: Colours) -> Levels:
+    def levels(self, colours: Colours) -> Float32s:
         """(N,) levels of colours, those of the nearest colours of the map."""
         if self.name == SUM:
             return np.asarray(colours.mean(axis=1) / np.float32(255))
@@ -79,12 +77,12 @@ class Palette:
         nearest = [np.argmin(half - part @ self.colours.T, axis=1) for part in parts]
         return np.asarray(self.at[np.concatenate(nearest)])
 
-    def painted(self, levels: Levels) -> Colours:
+    def painted(self, levels: Float32s) -> Colours:
         """(..., 3) colours of levels, between the map's own in proportion."""
         channels = [np.interp(levels, self.at, self.colours[:, k]) for k in range(3)]
         return np.asarray(np.stack(channels, axis=-1), np.float32)
 
-    def misses(self, colours: Colours) -> npt.NDArray[np.float32]:
+    def misses(self, colours: Colours) -> Float32s:
         """(N,) root mean square distance of the channels from the map, of 255."""
         away = colours - self.painted(self.levels(colours))
         return np.asarray(np.sqrt(np.square(away).mean(axis=1)))
@@ -98,14 +96,14 @@ GREY = "grey"
 class Painted:
     """An image whose colours stand for levels."""
 
-    image: Samples  # (H, W, C) as it is stored
+    image: Array  # (H, W, C) as it is stored
     palette: Palette
-    levels: Levels  # (H, W) in 0..1
-    known: npt.NDArray[np.bool_]
+    levels: Float32s  # (H, W) in 0..1
+    known: Bools
     """(H, W), False where a colour is none of the map: a line of text, the page around the fan; the
     level is 0 there, or, of a small mark, that of its surroundings."""
 
-    def repainted(self, levels: Levels) -> Samples:
+    def repainted(self, levels: Float32s) -> Array:
         """The image with other levels, (H, W); what did not change keeps its very colours."""
         full = FULL_SCALE[str(self.image.dtype)]
         changed = self.known & (np.abs(levels - self.levels) >= _HALF_STEP)
@@ -117,7 +115,7 @@ class Painted:
         return result
 
 
-def find_painted(image: Samples, before: Palette | None = None) -> Painted | None:
+def find_painted(image: Array, before: Palette | None = None) -> Painted | None:
     """The levels of an image in colours; None for a grey one, and for colours of no map.
 
     image: (H, W, C) uint8, uint16 or float32, red or blue first.  before: the map of the image
@@ -165,7 +163,7 @@ def find_painted(image: Samples, before: Palette | None = None) -> Painted | Non
     return Painted(image, palette, np.where(drawn, means, levels).astype(np.float32), known)
 
 
-def grey_of_colours(image: Samples) -> Levels:
+def grey_of_colours(image: Array) -> Float32s:
     """(H, W) float32 in 0..1 of (H, W, C) colours, blue first: levels of a map, else luminance.
 
     Equal channels stay exactly what they are.
@@ -249,7 +247,7 @@ def _by_sums(pixels: Colours) -> Palette:
     return Palette(SUM, colours, colours.mean(axis=1) / np.float32(255))
 
 
-def _foreground(codes: npt.NDArray[np.uint32]) -> Colours:
+def _foreground(codes: UInt32s) -> Colours:
     """(N, 3) colours of pixels spread evenly, without those of flat areas.  codes: (H, W)."""
     inner = codes[1:-1, 1:-1]
     beside = (codes[:-2, 1:-1], codes[2:, 1:-1], codes[1:-1, :-2], codes[1:-1, 2:])
@@ -261,12 +259,12 @@ def _foreground(codes: npt.NDArray[np.uint32]) -> Colours:
     return _uncoded(rare[:: max(1, len(rare) // _LOOKED_AT)])
 
 
-def _codes(flat: npt.NDArray[Any]) -> npt.NDArray[np.uint32]:
+def _codes(flat: Array) -> UInt32s:
     """(N,) one number a colour, its channels rounded to 8 bits."""
     scale = 255 / FULL_SCALE[str(flat.dtype)]
     channels = np.rint(np.clip(flat * np.float32(scale), 0, 255)).astype(np.uint32)
     return np.asarray(channels[:, 0] | channels[:, 1] << 8 | channels[:, 2] << 16)
 
 
-def _uncoded(codes: npt.NDArray[np.uint32]) -> Colours:
+def _uncoded(codes: UInt32s) -> Colours:
     return np.asarray(np.stack([codes >> k & 255 for k in (0, 8, 16)], axis=1), np.float32)

@@ -11,11 +11,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import UInt8s
 from ...factory.common.files import whole_file
-
-Pixels = npt.NDArray[np.uint8]
 
 SUFFIX = ".mp4"
 _CODECS = ("libopenh264", "libx264", "mpeg4")  # the first that this FFmpeg has
@@ -55,7 +53,7 @@ class PlainVideo:
         self._tick = 0
         self._last_time_s: float | None = None
 
-    def add(self, image: Pixels, time_s: float | None = None) -> None:
+    def add(self, image: UInt8s, time_s: float | None = None) -> None:
         """The next image, (H, W, 3) uint8, blue first.
 
         time_s: when it was taken; None: unknown.
@@ -103,7 +101,7 @@ def _even(side: float) -> int:
     return max(2, 2 * round(side / 2))
 
 
-def _fitted(image: Pixels, size: tuple[int, int]) -> Pixels:
+def _fitted(image: UInt8s, size: tuple[int, int]) -> UInt8s:
     """(H, W, 3) uint8 scaled into (height, width), black around it."""
     scale = min(size[0] / image.shape[0], size[1] / image.shape[1])
     height, width = (max(1, round(scale * side)) for side in image.shape[:2])

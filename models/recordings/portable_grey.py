@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
-from .base import FULL_SCALE, Samples, ask_pixels
+from .base import FULL_SCALE, ask_pixels
 
 _SPACE = rb"(?:\s|#[^\n]*\n)+"
 _HEADER = re.compile(rb"P([25])" + 3 * (_SPACE + rb"(\d{1,9})") + rb"\s")
@@ -51,7 +52,7 @@ def white_of_file(path: Path) -> int | None:
     return None if header is None or header.largest in (255, _MOST) else header.largest
 
 
-def decode_portable_grey(content: bytes, header: PortableGreyHeader, name: str) -> Samples:
+def decode_portable_grey(content: bytes, header: PortableGreyHeader, name: str) -> Array:
     """(H, W) uint8 or uint16, scaled so that white is full scale.  Raises FrameError."""
     ask_pixels(name, header.width, header.height)
     count = header.width * header.height
@@ -67,11 +68,11 @@ def decode_portable_grey(content: bytes, header: PortableGreyHeader, name: str) 
     full = 255 if header.largest < 256 else _MOST
     most = header.largest
     scaled = (np.minimum(samples, most).astype(np.int64) * full + most // 2) // most
-    image: Samples = scaled.astype(np.uint8 if full == 255 else np.uint16)
+    image: Array = scaled.astype(np.uint8 if full == 255 else np.uint16)
     return image.reshape(header.height, header.width)
 
 
-def encode_portable_grey(image: Samples, largest: int) -> bytes:
+def encode_portable_grey(image: Array, largest: int) -> bytes:
     """An image, (H, W) of full scale, as a binary PGM file in which `largest` is white."""
     full = int(FULL_SCALE[str(image.dtype)])
     scaled = (image.astype(np.int64) * largest + full // 2) // full

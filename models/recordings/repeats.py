@@ -11,9 +11,8 @@ from collections import deque
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Grey = npt.NDArray[np.float32]
+from ...factory.common.array_types import Float32s
 
 _WINDOW_PX = 5  # side of the mean that grain is measured against
 _DARK = 0.02  # grey value: what is darker has no grain
@@ -30,10 +29,10 @@ class RepeatFinder:
     """Tells copies from new frames, one frame after the other."""
 
     def __init__(self) -> None:
-        self._original: Grey | None = None
+        self._original: Float32s | None = None
         self._changes: deque[float] = deque(maxlen=_REMEMBERED)
 
-    def is_repeat(self, grey: Grey) -> bool:
+    def is_repeat(self, grey: Float32s) -> bool:
         """Whether a frame, (H, W) in 0..1, repeats the last one that did not."""
         original = self._original
         if original is None or original.shape != grey.shape:
@@ -53,7 +52,7 @@ class RepeatFinder:
         return min(max(usual, _SURELY_COPIED), _MOST_CHANGED)
 
 
-def changed_grain(frame: Grey, reference: Grey) -> float:
+def changed_grain(frame: Float32s, reference: Float32s) -> float:
     """Part of two frames' grain, by its power, in which they differ.
 
     0: one is a copy of the other; 1: their noise is independent, but for what belongs to the scene.
@@ -79,7 +78,7 @@ class CopyFinder:
         self._repeats = RepeatFinder()
         self._digests: set[bytes] = set()
 
-    def is_copy(self, grey: Grey) -> bool:
+    def is_copy(self, grey: Float32s) -> bool:
         """Whether a frame, (H, W) in 0..1, is a copy of one that was asked for before."""
         digest = hashlib.sha256(np.ascontiguousarray(grey).tobytes()).digest()
         is_copy = self._repeats.is_repeat(grey) or digest in self._digests
@@ -87,5 +86,5 @@ class CopyFinder:
         return is_copy
 
 
-def _grain(plane: Grey) -> Grey:
+def _grain(plane: Float32s) -> Float32s:
     return np.asarray(plane - cv2.blur(plane, (_WINDOW_PX, _WINDOW_PX)), np.float32)

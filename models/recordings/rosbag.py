@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.files import temporary_folder
 from ...factory.common.ros_types import SONAR, typestore
@@ -35,7 +36,6 @@ from .base import (
     Ended,
     Recording,
     RecordingDevice,
-    Samples,
     SonarFrame,
     explained,
     known,
@@ -161,7 +161,7 @@ class RosBag(Recording):
         self._next = self.count
         raise Ended(f"{self.path}: ends before frame {number}; it is cut short or damaged")
 
-    def rewrite(self, samples: Iterable[Samples], path: Path) -> None:
+    def rewrite(self, samples: Iterable[Array], path: Path) -> None:
         """The same bag with other samples in its frames; all else is copied.
 
         samples: of each frame in order, in the shape and type of `SonarFrame.samples`.
@@ -178,7 +178,7 @@ class RosBag(Recording):
                 (target,) = (file for file in target.iterdir() if file.suffix in (".mcap", ".db3"))
             os.replace(target, path)
 
-    def _write(self, samples: Iterator[Samples], target: Path) -> None:
+    def _write(self, samples: Iterator[Array], target: Path) -> None:
         store = typestore(self.version)
         damaged = f"{self.path}: cannot be copied"
         serialized = store.serialize_ros1 if self.version == 1 else store.serialize_cdr
@@ -302,7 +302,7 @@ def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, name: s
     return SonarFrame(number, samples, _beams(message, name), time_s, device=device)
 
 
-def with_samples(message: Any, msgtype: str, samples: Samples, name: str) -> Any:
+def with_samples(message: Any, msgtype: str, samples: Array, name: str) -> Any:
     """The same message with other samples, of the shape and type of those of its frame.
 
     A compressed image is compressed as it was, JPEG at its best quality.
@@ -330,7 +330,7 @@ def with_samples(message: Any, msgtype: str, samples: Samples, name: str) -> Any
     return changed
 
 
-def _image(message: Any, name: str) -> Samples:
+def _image(message: Any, name: str) -> Array:
     """The pixels of an Image, (H, W) or (H, W, channels), in its own memory."""
     height = int(message.height)
     width = int(message.width)
@@ -350,11 +350,11 @@ def _image(message: Any, name: str) -> Samples:
             "bytes; it is damaged"
         )
     strides = (step, channels * dtype.itemsize, dtype.itemsize)
-    pixels: Samples = np.ndarray((height, width, channels), dtype, message.data, strides=strides)
+    pixels: Array = np.ndarray((height, width, channels), dtype, message.data, strides=strides)
     return pixels[..., 0] if channels == 1 else pixels
 
 
-def _samples(message: Any, name: str) -> Samples:
+def _samples(message: Any, name: str) -> Array:
     """(ranges, beams) of a ProjectedSonarImage, in its own memory."""
     image = message.image
     ranges = len(message.ranges)
@@ -373,11 +373,11 @@ def _samples(message: Any, name: str) -> Samples:
             f"{name} says {ranges} ranges, {beams} beams and {directions} directions, and holds "
             f"{held} bytes; it is damaged"
         )
-    samples: Samples = np.ndarray((ranges, beams), dtype, image.data)
+    samples: Array = np.ndarray((ranges, beams), dtype, image.data)
     return samples
 
 
-_PIXELS: dict[str, Callable[[Any, str], Samples]] = {
+_PIXELS: dict[str, Callable[[Any, str], Array]] = {
     SONAR: _samples,
     IMAGE: _image,
     COMPRESSED: lambda message, name: decoded(bytes(message.data), name),

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ...factory.common.files import whole_file
 from .base import (
@@ -28,7 +29,6 @@ from .base import (
     Beams,
     Recording,
     RecordingDevice,
-    Samples,
     SonarFrame,
     explained,
     known,
@@ -96,7 +96,7 @@ class _SoundMetricsFile(Recording):
         part = f"the header of frame {number}"
         return self.record_at(self._place(number), layout, part)
 
-    def _samples(self, number: int) -> Samples:
+    def _samples(self, number: int) -> Array:
         """(ranges, beams) uint8, beams as they are stored."""
         offset = self._place(number) + self.frame_size
         count = self.beams * self.ranges
@@ -157,7 +157,7 @@ class ArisFile(_SoundMetricsFile):
             ),
         )
 
-    def rewrite(self, samples: Iterable[Samples], path: Path) -> None:
+    def rewrite(self, samples: Iterable[Array], path: Path) -> None:
         """The same recording with other samples, (ranges, beams) uint8 of each frame, as a file.
 
         Raises ValueError for samples of another shape, type or number, FactoryError when `path`

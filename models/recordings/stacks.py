@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ...factory.common.quiet import quiet_stderr
 from .base import (
     Recording,
-    Samples,
     SonarFrame,
     as_samples,
     ask_bytes,
@@ -135,7 +135,7 @@ class StackFile(Recording):
             sequence=self._axes.sequence_of(number),
         )
 
-    def _contiguous(self, number: int, name: str) -> Samples:
+    def _contiguous(self, number: int, name: str) -> Array:
         first = self._first
         if not first.dtype:
             raise FrameError(f"{name}: samples of {first.number(BITS)} bits cannot be read")
@@ -154,7 +154,7 @@ class StackFile(Recording):
         # The most significant byte may come first.
         return np.ascontiguousarray(swapped(page))
 
-    def _page(self, number: int, name: str) -> Samples:
+    def _page(self, number: int, name: str) -> Array:
         if self._is_deep and self._first.is_planar:
             return read_planes(self.path, name, number)
         if self._image is None:
@@ -169,7 +169,7 @@ class StackFile(Recording):
             page = np.iinfo(page.dtype).max - page
         return untinted(page) if is_palette else page
 
-    def _by_opencv(self, number: int, name: str) -> Samples:
+    def _by_opencv(self, number: int, name: str) -> Array:
         """A page of a kind that Pillow does not know, such as floats of 64 bits."""
         with explained(f"{name} cannot be read"), quiet_stderr():
             path = str(self.path)

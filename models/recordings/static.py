@@ -13,10 +13,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Grey = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
+from ...factory.common.array_types import Bools, Float32s, Float64s
 
 _SIDE = 96  # of the small images that are compared with each other, pixels
 _BROAD = 8.0  # pixels of a small image: what is wider counts as brightness, not as scene
@@ -29,13 +27,13 @@ class StaticGroup:
     """Frames of one static scene, by their numbers among the images, in order."""
 
     numbers: tuple[int, ...]
-    shifts_px: npt.NDArray[np.float64]
+    shifts_px: Float64s
     """(N, 2) right and down, by which the scene lies away from where the first frame has it."""
 
 
 def find_groups(
-    images: Sequence[Grey],
-    sectors: Sequence[Mask],
+    images: Sequence[Float32s],
+    sectors: Sequence[Bools],
     *,
     least: int = 6,
     alike: float = 0.75,
@@ -72,7 +70,7 @@ def find_groups(
     return groups
 
 
-def aligned(frames: Sequence[Grey], sector: Mask, *, furthest_px: float = 4.0) -> StaticGroup:
+def aligned(frames: Sequence[Float32s], sector: Bools, *, furthest_px: float = 4.0) -> StaticGroup:
     """The frames that lie within `furthest_px` of the first, with their shifts below a pixel."""
     shift_of_frame = {0: (0.0, 0.0)}
     for number, frame in enumerate(frames[1:], start=1):
@@ -82,7 +80,7 @@ def aligned(frames: Sequence[Grey], sector: Mask, *, furthest_px: float = 4.0) -
     return StaticGroup(tuple(shift_of_frame), np.array(list(shift_of_frame.values())))
 
 
-def shift_px(fixed: Grey, moved: Grey, sector: Mask) -> tuple[float, float] | None:
+def shift_px(fixed: Float32s, moved: Float32s, sector: Bools) -> tuple[float, float] | None:
     """How far right and down the scene of `fixed` lies in `moved`; None when nothing fits.
 
     Maximises the enhanced correlation coefficient inside the sector (Evangelidis and Psarakis
@@ -100,8 +98,8 @@ def shift_px(fixed: Grey, moved: Grey, sector: Mask) -> tuple[float, float] | No
 
 
 def laid_over(
-    frames: Sequence[Grey], group: StaticGroup, reference: int, numbers: Sequence[int]
-) -> list[Grey]:
+    frames: Sequence[Float32s], group: StaticGroup, reference: int, numbers: Sequence[int]
+) -> list[Float32s]:
     """Return frames shifted so that their scene lies where the reference frame has it, (H, W) each.
 
     frames: those of the group, in its order.  reference, numbers: indices into them; the reference
@@ -116,7 +114,7 @@ def laid_over(
     ]
 
 
-def moving(frames: Sequence[Grey], sector: Mask, *, times: float = 4.0) -> Mask:
+def moving(frames: Sequence[Float32s], sector: Bools, *, times: float = 4.0) -> Bools:
     """(H, W) bool: where something moved through the frames, with a margin.
 
     There the smoothed frames spread in time `times` as much as in the median of the sector.
@@ -128,7 +126,7 @@ def moving(frames: Sequence[Grey], sector: Mask, *, times: float = 4.0) -> Mask:
     return cv2.dilate(is_moving.astype(np.uint8), np.ones((15, 15), np.uint8)).astype(bool)
 
 
-def shifted(frame: Grey, shift_px: npt.NDArray[np.float64]) -> Grey:
+def shifted(frame: Float32s, shift_px: Float64s) -> Float32s:
     """The frame, (H, W) or (H, W, C), with its scene moved left and up by (right, down) pixels.
 
     Cubic, the border reflected.
@@ -142,7 +140,7 @@ def shifted(frame: Grey, shift_px: npt.NDArray[np.float64]) -> Grey:
     return np.asarray(moved, np.float32)
 
 
-def _small(image: Grey, sector: Mask) -> npt.NDArray[np.float64]:
+def _small(image: Float32s, sector: Bools) -> Float64s:
     """(_SIDE * _SIDE,) of unit length: the scene without brightness, speckle and border."""
     weight = cv2.resize(sector.astype(np.float32), (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)
     small = cv2.resize(image * sector, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)

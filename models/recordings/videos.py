@@ -16,18 +16,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ...factory.production.cli.extras import Need, require
-from .base import (
-    MOST_PIXELS,
-    Ended,
-    Recording,
-    Samples,
-    SonarFrame,
-    ask_pixels,
-    explained,
-    untinted,
-)
+from .base import MOST_PIXELS, Ended, Recording, SonarFrame, ask_pixels, explained, untinted
 from .containers import container_of, has_index, is_cut_short
 from .orientation import UPRIGHT, Orientation, orientation_of_matrix
 
@@ -356,7 +348,7 @@ def _orientation_of(decoded: Any) -> Orientation:
     return UPRIGHT
 
 
-def samples_of(decoded: Any) -> Samples:
+def samples_of(decoded: Any) -> Array:
     """(H, W) or (H, W, 3) BGR of a decoded frame; uint16 for more than 8 bits a sample."""
     bits = max(component.bits for component in decoded.format.components)
     if _is_grey_format(decoded.format):
@@ -371,7 +363,7 @@ def samples_of(decoded: Any) -> Samples:
     return untinted(np.asarray(image, np.uint8))
 
 
-def _grey_samples(decoded: Any, bits: int) -> Samples:
+def _grey_samples(decoded: Any, bits: int) -> Array:
     if bits <= 8:
         return np.array(decoded.to_ndarray(format="gray"), np.uint8)
     # As this machine orders bytes.
@@ -380,7 +372,7 @@ def _grey_samples(decoded: Any, bits: int) -> Samples:
     return widened(values, bits)
 
 
-def _neutral_luma(decoded: Any) -> Samples | None:
+def _neutral_luma(decoded: Any) -> Array | None:
     """The grey values of a frame whose colour planes say grey throughout; None for others.
 
     Of full range alone, where they are what is stored.
@@ -395,13 +387,13 @@ def _neutral_luma(decoded: Any) -> Samples | None:
     return _pixels_of(planes[0]).copy()
 
 
-def _pixels_of(plane: Any) -> Samples:
+def _pixels_of(plane: Any) -> Array:
     """(height, width) uint8 of a plane with one byte a pixel."""
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
     return rows[: plane.height, : plane.width]
 
 
-def widened(values: Samples, bits: int) -> Samples:
+def widened(values: Array, bits: int) -> Array:
     """Samples of so many bits as uint16 of full scale 65535; `narrowed` takes them back exactly."""
     if bits == 16:
         return values
@@ -409,7 +401,7 @@ def widened(values: Samples, bits: int) -> Samples:
     return ((values.astype(np.uint32) * 65535 + most // 2) // most).astype(np.uint16)
 
 
-def narrowed(samples: Samples, bits: int) -> Samples:
+def narrowed(samples: Array, bits: int) -> Array:
     """uint16 samples of full scale 65535 as whole numbers of so many bits."""
     if bits == 16:
         return samples

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from ...factory.common.array_types import Float32s, Floats
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.simulation.sonar.fan import fan_table
@@ -24,13 +24,12 @@ from .base import FULL_SCALE, Beams, SonarFrame
 if TYPE_CHECKING:
     from ...factory.simulation.sonar.settings import SonarSettings
 
-Grey = npt.NDArray[np.float32]
 
 MOST_ROWS = 1024
 _MOST_SIDE = 2048
 
 
-def grey_of(frame: SonarFrame) -> Grey:
+def grey_of(frame: SonarFrame) -> Float32s:
     """The samples as float32 in 0..1, in the shape that they have."""
     return frame.samples.astype(np.float32) / np.float32(FULL_SCALE[str(frame.samples.dtype)])
 
@@ -51,7 +50,7 @@ def polar_geometry(beams: Beams, ranges: int) -> FanGeometry:
     )
 
 
-def fan_of(samples: npt.NDArray[np.floating], beams: Beams) -> tuple[Grey, FanGeometry]:
+def fan_of(samples: Floats, beams: Beams) -> tuple[Float32s, FanGeometry]:
     """(ranges, beams) -> (H, W) float32 fan with its geometry, far range on top, 0 outside.
 
     A pixel is as long as a sample where that makes at most `MOST_ROWS` pixels ahead.
@@ -95,7 +94,7 @@ def _edges_rad(beams: Beams) -> tuple[float, float]:
 _opened = lru_cache(maxsize=1)(open_recording)  # the last stays open for its next frame
 
 
-def frame_image(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
+def frame_image(path: Path, number: int) -> tuple[Float32s, FanGeometry | None]:
     """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where the file has none.
 
     Raises FactoryError when it cannot be read.
@@ -128,13 +127,13 @@ class Presentation:
     gain: np.float32  # what the image is multiplied by
     geometry: FanGeometry | None  # of the image that networks see; None where it is not known
 
-    def shown(self, grey: Grey) -> Grey:
+    def shown(self, grey: Float32s) -> Float32s:
         """An image, (H, W) in 0..1, as networks see it; those beside it in time are alike."""
         if self.quarter_turns:
             grey = np.ascontiguousarray(np.rot90(grey, self.quarter_turns))
         return grey if self.gain == 1 else np.minimum(grey * self.gain, 1)
 
-    def undone(self, grey: Grey) -> Grey:
+    def undone(self, grey: Float32s) -> Float32s:
         """The inverse of `shown`."""
         if self.gain != 1:
             grey = grey / self.gain
@@ -143,7 +142,7 @@ class Presentation:
         return grey
 
 
-def presentation_of(grey: Grey, geometry: FanGeometry | None) -> Presentation:
+def presentation_of(grey: Float32s, geometry: FanGeometry | None) -> Presentation:
     """How an image, (H, W) in 0..1, is to be shown; most are left as they are.
 
     The gain rises without a step as images get darker, and no pixel comes above 1.

@@ -15,11 +15,11 @@ from types import FrameType
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
+from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.progress import progress_bar
 from ...factory.common.seeds import stream
@@ -243,7 +243,7 @@ def running_average(decay: float) -> Callable[..., None]:
     return update
 
 
-def denoised(network: Network, batch: Batch) -> npt.NDArray[np.float32]:
+def denoised(network: Network, batch: Batch) -> Float32s:
     """(H, W) float32 in 0..1: the image of a batch of one, denoised and clipped."""
     device = next(network.parameters()).device
     known = {name: tensor.to(device) for name, tensor in known_extras(network, batch).items()}

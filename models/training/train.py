@@ -11,17 +11,17 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import torch
 import yaml
 from torch import Tensor
 
+from ...factory.common.array_types import Float32s, UInt8s
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, write_atomically
 from ...factory.common.settings import build
 from .. import COMMAND_MARK, CONFIG_NAME, WEIGHTS_NAME
 from ..data.crops import whole_image
-from ..data.pairs import Batch, Data, Image, spread
+from ..data.pairs import Batch, Data, spread
 from ..data.sources import open_data
 from ..networks import build_network
 from ..networks.network import Network
@@ -219,7 +219,7 @@ def _write_samples(out: Path, data: Data) -> None:
     write_atomically(out / "samples.png", sheet, durable=False, key="out")
 
 
-def contact_sheet(rows: Sequence[Sequence[Image]]) -> npt.NDArray[np.uint8]:
+def contact_sheet(rows: Sequence[Sequence[Float32s]]) -> UInt8s:
     """(H, W) uint8 of rows of images (h, w) float32 in 0..1, those of a row of one height."""
     framed = [
         np.hstack([np.pad(image, (0, _GAP), constant_values=0.5) for image in row]) for row in rows

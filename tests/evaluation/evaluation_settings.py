@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 from scipy import ndimage
 
@@ -18,6 +17,7 @@ from simnfnd.evaluation.judging.pairs import items_of
 from simnfnd.evaluation.judging.runner import JudgingTask, Measured, measure_task
 from simnfnd.evaluation.judging.settings import EvaluationSettings
 from simnfnd.evaluation.report.build import measure
+from simnfnd.factory.common.array_types import Float32s, Float64s
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.common.workers.tasks import TaskPool
 
@@ -82,7 +82,7 @@ def speckle(
     rng: np.random.Generator,
     shape: tuple[int, int] = (192, 96),
     grain: tuple[float, float] = (0.0, 0.0),
-) -> npt.NDArray[np.float64]:
+) -> Float64s:
     """Rayleigh amplitude of mean power 1; grain: Gaussian standard deviations in cells."""
     field = rng.standard_normal((2, *shape))
     if any(grain):
@@ -91,9 +91,7 @@ def speckle(
     return np.asarray(np.sqrt(power / power.mean()))
 
 
-def sonar_image(
-    rng: np.random.Generator, level: float = 0.3, looks: int = 3
-) -> npt.NDArray[np.float32]:
+def sonar_image(rng: np.random.Generator, level: float = 0.3, looks: int = 3) -> Float32s:
     """(192, 96) polar image in 0..1: log-compressed speckle on a sloping bottom, one object."""
     power = np.mean([speckle(rng, grain=(0.6, 0.6)) ** 2 for _ in range(looks)], axis=0)
     rows, columns = np.mgrid[0:192, 0:96]

@@ -10,21 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import simnfnd
 from simnfnd import api
 from simnfnd.command import main
+from simnfnd.factory.common.array_types import UInt8s
 from simnfnd.models.denoise import denoiser
 from simnfnd.models.recordings import open_recording
 from tests.models.adapt.scenes import noisy, scene
 from tests.models.recordings.recording_files import pings, write_aris
 
-Bytes = npt.NDArray[np.uint8]
 
-
-def frames_of(count: int, side: int = 64) -> Bytes:
+def frames_of(count: int, side: int = 64) -> UInt8s:
     """(count, side, side): a static scene in noise."""
     ground = scene(0, side, side)
     stack = np.stack([noisy(ground, number) for number in range(count)])
@@ -120,7 +118,7 @@ def test_memory_does_not_grow() -> None:
     many = 100
     rng = np.random.default_rng(0)
 
-    def frames() -> Iterator[Bytes]:
+    def frames() -> Iterator[UInt8s]:
         for number in range(many):
             side = 24 + number % 3
             frame = rng.integers(0, 255, (side, 32), dtype=np.uint8)

@@ -19,15 +19,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
+from ....factory.common.array_types import Complex64s, Float32s, Float64s
 from ...metrics.measure import Grey
 from .logarithm import denoise_logarithm
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex64]
 
 _MARGIN_PX = 8
 _WINDOW_PX = 7  # of the local power, as in the paper on the bivariate filter
@@ -47,15 +43,15 @@ _TREES = [(rows, columns) for rows in (0, 1) for columns in (0, 1)]
 class Filters(NamedTuple):
     """Low-pass and high-pass taps of a level."""
 
-    low: Doubles
-    high: Doubles
+    low: Float64s
+    high: Float64s
 
 
 class RealTransform(NamedTuple):
     """One of the four real transforms: (3, h, w) details of each level, and the coarse rest."""
 
-    details: list[Floats]
-    rest: Floats
+    details: list[Float32s]
+    rest: Float32s
 
 
 @dataclass(frozen=True)
@@ -65,8 +61,8 @@ class Coefficients:
     rests: the four coarse rests, (4, H / 2^J, W / 2^J), in the order of `_TREES`.
     """
 
-    bands: list[Complexes]
-    rests: Floats
+    bands: list[Complex64s]
+    rests: Float32s
 
 
 def dual_tree(image: Grey, strength: float, levels: int) -> Grey:
@@ -74,7 +70,7 @@ def dual_tree(image: Grey, strength: float, levels: int) -> Grey:
     return denoise_logarithm(image, lambda values: _denoise(values, strength, levels))
 
 
-def _denoise(values: Floats, strength: float, levels: int) -> Floats:
+def _denoise(values: Float32s, strength: float, levels: int) -> Float32s:
     """(H, W) with its details shrunk by the noise that the finest level shows."""
     height, width = values.shape
     divisor = 2 ** (levels + 1)
@@ -96,7 +92,7 @@ def _denoise(values: Floats, strength: float, levels: int) -> Floats:
     return denoised[_MARGIN_PX : _MARGIN_PX + height, _MARGIN_PX : _MARGIN_PX + width]
 
 
-def _estimate_deviation(finest: Complexes) -> float:
+def _estimate_deviation(finest: Complex64s) -> float:
     """Robust standard deviation of a real or imaginary part of the finest coefficients.
 
     Exact zeros, outside the fan, do not count.
@@ -106,7 +102,7 @@ def _estimate_deviation(finest: Complexes) -> float:
     return float(np.median(magnitudes)) / _RAYLEIGH_MEDIAN if magnitudes.size else 0.0
 
 
-def _shrink(band: Complexes, parents: Complexes, noise: float) -> Complexes:
+def _shrink(band: Complex64s, parents: Complex64s, noise: float) -> Complex64s:
     """Bivariate MAP: y max(R - sqrt(3) noise^2 / sigma, 0) / R, R the length of child and parent.
 
     noise, sigma: standard deviations of a real part; sigma, the signal's, comes from the power
@@ -121,7 +117,7 @@ def _shrink(band: Complexes, parents: Complexes, noise: float) -> Complexes:
     return np.asarray(band * shrunk / np.maximum(length, 1e-12), np.complex64)
 
 
-def transform(image: Floats, levels: int) -> Coefficients:
+def transform(image: Float32s, levels: int) -> Coefficients:
     """The transform of (H, W), both divisible by 2^levels; the image repeats periodically."""
     transforms = [_transform_tree(image, levels, rows, columns) for rows, columns in _TREES]
     bands = []
@@ -136,9 +132,9 @@ def transform(image: Floats, levels: int) -> Coefficients:
     return Coefficients(bands, rests)
 
 
-def invert(coefficients: Coefficients) -> Floats:
+def invert(coefficients: Coefficients) -> Float32s:
     """The image of coefficients, (H, W) float32; the exact inverse of `transform`."""
-    details: list[list[Floats]] = [[], [], [], []]
+    details: list[list[Float32s]] = [[], [], [], []]
     for band in coefficients.bands:
         rising = band[:3] * np.sqrt(8)
         falling = band[3:] * np.sqrt(8)
@@ -168,7 +164,7 @@ def filters_of(level: int, tree: int) -> Filters:
     return Filters(low, signs * low[::-1])
 
 
-def _transform_tree(image: Floats, levels: int, rows: int, columns: int) -> RealTransform:
+def _transform_tree(image: Float32s, levels: int, rows: int, columns: int) -> RealTransform:
     details = []
     rest = image
     for level in range(levels):
@@ -186,7 +182,7 @@ def _transform_tree(image: Floats, levels: int, rows: int, columns: int) -> Real
     return RealTransform(details, rest)
 
 
-def _invert_tree(tree: RealTransform, rows: int, columns: int) -> Floats:
+def _invert_tree(tree: RealTransform, rows: int, columns: int) -> Float32s:
     rest = tree.rest
     for level in reversed(range(len(tree.details))):
         down = filters_of(level, rows)
@@ -198,7 +194,7 @@ def _invert_tree(tree: RealTransform, rows: int, columns: int) -> Floats:
     return rest
 
 
-def _analyse(values: Floats, taps: Doubles, axis: int) -> Floats:
+def _analyse(values: Float32s, taps: Float64s, axis: int) -> Float32s:
     """Sum over k of taps[k] values[2n + k], periodic."""
     phases = [values[0::2], values[1::2]] if axis == 0 else [values[:, 0::2], values[:, 1::2]]
     analysed = np.zeros(phases[0].shape, np.float32)
@@ -207,7 +203,7 @@ def _analyse(values: Floats, taps: Doubles, axis: int) -> Floats:
     return analysed
 
 
-def _synthesise(values: Floats, taps: Doubles, axis: int) -> Floats:
+def _synthesise(values: Float32s, taps: Float64s, axis: int) -> Float32s:
     """The transpose of `_analyse`, which undoes it for orthonormal filters."""
     height, width = values.shape
     shape = (2 * height, width) if axis == 0 else (height, 2 * width)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
+from ....factory.common.array_types import Float32s
 from ...metrics.measure import Grey
-
-Floats = npt.NDArray[np.float32]
 
 _GREY_LEVEL = np.float32(1 / 255)
 
 
-def denoise_logarithm(image: Grey, denoise: Callable[[Floats], Floats]) -> Grey:
+def denoise_logarithm(image: Grey, denoise: Callable[[Float32s], Float32s]) -> Grey:
     """(H, W) in 0..1, denoised in the logarithm, with the mean it had before.
 
     denoise: maps logarithms (H, W) of grey levels to the same shape.  Black is exactly 0 there, so

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
+from ....factory.common.array_types import Float32s
 from ...metrics.measure import Grey
-
-Floats = npt.NDArray[np.float32]
 
 _WINDOW_PX = 5
 _NORMAL_MEDIAN = 0.6745  # median magnitude of a normal variable of deviation 1
@@ -29,9 +27,9 @@ def lpmsde(image: Grey, strength: float, levels: int) -> Grey:
     return np.clip(coarse, 0, 1)
 
 
-def build_pyramid(image: Grey, levels: int) -> tuple[list[Floats], Floats]:
+def build_pyramid(image: Grey, levels: int) -> tuple[list[Float32s], Float32s]:
     """Band-pass levels, the finest first, and the coarse rest (Burt and Adelson 1983)."""
-    bands: list[Floats] = []
+    bands: list[Float32s] = []
     current = image
     for _ in range(levels):
         smaller = np.asarray(cv2.pyrDown(current), np.float32)
@@ -40,11 +38,11 @@ def build_pyramid(image: Grey, levels: int) -> tuple[list[Floats], Floats]:
     return bands, current
 
 
-def _enlarge(image: Floats, shape: tuple[int, ...]) -> Floats:
+def _enlarge(image: Float32s, shape: tuple[int, ...]) -> Float32s:
     return np.asarray(cv2.pyrUp(image, dstsize=shape[::-1]), np.float32)
 
 
-def _estimate_variance(band: Floats) -> float:
+def _estimate_variance(band: Float32s) -> float:
     """Robust noise variance of a level; exact zeros, outside the fan, do not count."""
     magnitudes = np.abs(band[np.abs(band) > 1e-6])
     if not magnitudes.size:
@@ -52,7 +50,7 @@ def _estimate_variance(band: Floats) -> float:
     return float((np.median(magnitudes) / _NORMAL_MEDIAN) ** 2)
 
 
-def _filter_band(band: Floats, noise_variance: float) -> Floats:
+def _filter_band(band: Float32s, noise_variance: float) -> Float32s:
     """Each coefficient times the share of its neighbourhood's power that is not noise."""
     power = ndimage.uniform_filter(band * band, _WINDOW_PX, mode="nearest")
     share = np.maximum(power - noise_variance, 0) / np.maximum(power, 1e-12)

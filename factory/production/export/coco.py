@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Bools
 from ...dataset.pair_dataset import PairDataset
 from .notes import write_notes
 from .object_selection import ClassList, ObjectSelection
@@ -102,7 +102,7 @@ def write_annotations(document: dict[str, Any], folder: Path, split: str) -> Non
     (folder / "annotations" / f"instances_{split}.json").write_text(text + "\n")
 
 
-def encode_run_lengths(mask: npt.NDArray[np.bool_]) -> dict[str, list[int]]:
+def encode_run_lengths(mask: Bools) -> dict[str, list[int]]:
     """(H, W) as COCO's uncompressed runs: of 0, of 1, of 0, ... down each column in turn."""
     flat_mask = mask.ravel(order="F")
     changes = np.flatnonzero(np.diff(flat_mask, prepend=False))

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Float32s, Float64s
 from ...common.errors import FactoryError
 from ...common.ros_types import SONAR, typestore
 from ...common.settings import build
@@ -62,8 +62,8 @@ class PingFacts(NamedTuple):
 class PingGrid(NamedTuple):
     """The ranges (R,) in metres and bearings (B,) in radians, right positive, of a polar image."""
 
-    ranges_m: npt.NDArray[np.float64]
-    bearings_rad: npt.NDArray[np.float64]
+    ranges_m: Float64s
+    bearings_rad: Float64s
 
 
 def write_mcap(pairs: PairDataset, folder: Path) -> str:
@@ -249,7 +249,7 @@ def polar_grid(sonar: SonarDevice, geometry: FanGeometry) -> PingGrid:
     return PingGrid(near + steps * (far - near), sonar.beam_centres_rad().astype(np.float64))
 
 
-def polar_image(image: npt.NDArray[Any], geometry: FanGeometry, grid: PingGrid) -> npt.NDArray[Any]:
+def polar_image(image: Array, geometry: FanGeometry, grid: PingGrid) -> Array:
     """(R, B) of the same type: a polar image as it is, a fan at the nearest pixels to the grid."""
     if geometry.layout == "polar":
         return image
@@ -264,7 +264,7 @@ def polar_image(image: npt.NDArray[Any], geometry: FanGeometry, grid: PingGrid) 
 
 
 def _ping(
-    polar: npt.NDArray[Any], grid: PingGrid, header: Any, sonar: SonarDevice,
+    polar: Array, grid: PingGrid, header: Any, sonar: SonarDevice,
     facts: PingFacts, types: Mapping[str, Any],
 ) -> Any:  # fmt: skip
     direction = types["geometry_msgs/msg/Vector3"]
@@ -292,12 +292,12 @@ def _ping(
     )
 
 
-def _widths(width_rad: float, count: int) -> npt.NDArray[np.float32]:
+def _widths(width_rad: float, count: int) -> Float32s:
     """(count,) of a width; empty where it is unknown, as the message has it."""
     return np.full(count if width_rad > 0 else 0, width_rad, np.float32)
 
 
-def _image(image: npt.NDArray[Any], header: Any, types: Mapping[str, Any]) -> Any:
+def _image(image: Array, header: Any, types: Mapping[str, Any]) -> Any:
     height, width = image.shape
     return types[_IMAGE](
         header=header,

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s
 from ...dataset.card import source_terms, stated_licence
 from ...dataset.folder import dataset_settings
 from ...dataset.labels import classes_of
@@ -123,7 +123,7 @@ def _classes(pairs: PairDataset, descriptions: list[Description]) -> str:
     return f"- **Classes.** Of segmentation: {describe_labels(pairs)}\n"
 
 
-def _describe_bearings(bearings_deg: npt.NDArray[np.float64]) -> str:
+def _describe_bearings(bearings_deg: Float64s) -> str:
     """The bearings of the columns of a polar image."""
     steps_deg = np.diff(bearings_deg)
     if len(steps_deg) and np.allclose(steps_deg, steps_deg[0], atol=1e-4):

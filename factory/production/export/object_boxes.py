@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s
 from ...common.errors import FactoryError
 from ...dataset.fan_geometry import FanGeometry
 
@@ -39,7 +39,7 @@ class ObjectPlace(NamedTuple):
     shadow_m: range at which its shadow ends, None where none is seen.
     """
 
-    points_m: npt.NDArray[np.float64]
+    points_m: Float64s
     bearings_rad: tuple[float, float]
     nearest_m: float
     shadow_m: float | None
@@ -116,8 +116,8 @@ def box_of_object(
 
 
 def _box_around(
-    range_m: npt.NDArray[np.float64],
-    bearing_rad: npt.NDArray[np.float64],
+    range_m: Float64s,
+    bearing_rad: Float64s,
     geometry: FanGeometry,
     shape: tuple[int, int],
     echo: Box,

@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Bools
 from ...common.errors import FactoryError
 from ...dataset.fan_geometry import FanGeometry, recorded_sonar
 from ...dataset.labels import classes_of
@@ -39,7 +39,7 @@ class VisibleObject:
     """
 
     class_name: str
-    mask: npt.NDArray[np.bool_]
+    mask: Bools
     box: Box
     visibility_db: float | None = None
 
@@ -54,7 +54,7 @@ class VisibleObject:
         return self.box == echo_box(self.mask)
 
 
-def echo_box(mask: npt.NDArray[np.bool_]) -> Box:
+def echo_box(mask: Bools) -> Box:
     """The box around the pixels of a mask."""
     return Box(*cv2.boundingRect(mask.astype(np.uint8)))
 
@@ -239,7 +239,7 @@ class _SampleBoxes:
             raise FactoryError(f"{place}: its device is not known; export with --box echo")
         self._geometry = FanGeometry.from_record(sonar, sample.record)
 
-    def around(self, number: int, mask: npt.NDArray[np.bool_]) -> Box:
+    def around(self, number: int, mask: Bools) -> Box:
         """The box of an object, whose echoes are the mask."""
         echo = echo_box(mask)
         if self._make_box is None or number not in self._places:
@@ -269,6 +269,6 @@ def write_labelled_images(
         yield LabelledImage(sample.key, objects)
 
 
-def _write_image(image: npt.NDArray[Any], folder: Path, key: str) -> None:
+def _write_image(image: Array, folder: Path, key: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{key}.png").write_bytes(encode_png(stored_image(image, "uint8")))

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s
 from ...common.errors import FactoryError
 from ...dataset.pair_dataset import PairDataset, in_unit_range
 from .notes import describe_labels, write_notes
@@ -64,10 +64,10 @@ def write_points(path: Path, sample: ExportedSample) -> int:
 
 
 def positions_of(
-    range_m: npt.NDArray[np.float32],
-    azimuth_rad: npt.NDArray[np.float32],
-    elevation_rad: npt.NDArray[np.float32],
-) -> npt.NDArray[np.float32]:
+    range_m: Float32s,
+    azimuth_rad: Float32s,
+    elevation_rad: Float32s,
+) -> Float32s:
     """(N, 3) ahead, left and up, m; azimuth is positive to the right."""
     level_m = range_m * np.cos(elevation_rad)
     ahead = level_m * np.cos(azimuth_rad)

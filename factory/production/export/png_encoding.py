@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
-import numpy.typing as npt
+
+from ...common.array_types import Array
 
 # Level 1: a third of the time of the default, a few per cent larger.
 _COMPRESSION = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -18,7 +17,7 @@ def fits_png(dtype: np.dtype[np.generic]) -> bool:
     return dtype in (np.bool_, np.uint8, np.uint16)
 
 
-def encode_png(image: npt.NDArray[Any]) -> bytes:
+def encode_png(image: Array) -> bytes:
     """(H, W) uint8, uint16, bool (as 0 and 255) or float in 0..1 (16 bits), or RGB -> PNG."""
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array
 from ...common.errors import FactoryError
 from ...dataset.pair_dataset import PairDataset
 
@@ -31,7 +31,7 @@ class ExportedSample:
 
     split: str
     index: int
-    images: Mapping[str, npt.NDArray[Any]]
+    images: Mapping[str, Array]
     record: Mapping[str, Value]
 
     @property
@@ -77,7 +77,7 @@ def read_samples(pairs: PairDataset, split: str) -> Iterator[ExportedSample]:
             split_index += 1
 
 
-def _read_images(pairs: PairDataset, index: int, shard_path: Path) -> dict[str, npt.NDArray[Any]]:
+def _read_images(pairs: PairDataset, index: int, shard_path: Path) -> dict[str, Array]:
     """The images of sample `index` of the dataset, which is in the shard at `shard_path`."""
     images = pairs[index]
     for layer, image in images.items():

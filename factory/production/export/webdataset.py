@@ -5,11 +5,10 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array
 from ...dataset.pair_dataset import PairDataset
 from .notes import write_notes
 from .png_encoding import encode_png, fits_png
@@ -52,7 +51,7 @@ def _entry_of(sample: ExportedSample) -> dict[str, str | bytes]:
     return entry
 
 
-def _encode_npy(image: npt.NDArray[Any]) -> bytes:
+def _encode_npy(image: Array) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, image, allow_pickle=False)
     return buffer.getvalue()

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import yaml
 
+from ...common.array_types import Array, Bools, Int64s
 from ...dataset.pair_dataset import PairDataset
 from .notes import write_notes
 from .object_selection import ClassList, ObjectSelection
 from .objects import VisibleObject, survey_objects, write_labelled_images
-
-Outline = npt.NDArray[np.int64]
 
 
 def write_yolo(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> str:
@@ -66,7 +63,7 @@ def _label_line(shown: VisibleObject, classes: ClassList) -> str:
     return f"{classes.number(shown.class_name) - 1} {corners}\n"
 
 
-def join_outlines(outlines: list[Outline]) -> Outline:
+def join_outlines(outlines: list[Int64s]) -> Int64s:
     """One closed polygon (corners, 2) through the outlines (N, 2) of the parts of an object.
 
     The nearest part is added again and again: the polygon runs from its corner that is nearest to
@@ -84,7 +81,7 @@ def join_outlines(outlines: list[Outline]) -> Outline:
     return polygon
 
 
-def _shortest_bridge(polygon: Outline, part: Outline) -> tuple[int, int, int]:
+def _shortest_bridge(polygon: Int64s, part: Int64s) -> tuple[int, int, int]:
     """The squared distance of the nearest two corners, and the index of each."""
     steps = polygon[:, None] - part[None]
     squared_distances = (steps**2).sum(axis=-1)
@@ -94,7 +91,7 @@ def _shortest_bridge(polygon: Outline, part: Outline) -> tuple[int, int, int]:
     return int(squared_distances.min()), int(polygon_corner), int(part_corner)
 
 
-def trace_outlines(mask: npt.NDArray[np.bool_]) -> list[Outline]:
+def trace_outlines(mask: Bools) -> list[Int64s]:
     """Return the outline of each connected part of an (H, W) mask, (corners, 2) columns and rows.
 
     Pixels that touch at a corner are connected.  A pixel (column c, row r) covers c to c + 1 and
@@ -106,7 +103,7 @@ def trace_outlines(mask: npt.NDArray[np.bool_]) -> list[Outline]:
     return [_outline_corners(contour[:, 0]) for contour in contours]
 
 
-def _outline_corners(contour: npt.NDArray[Any]) -> Outline:
+def _outline_corners(contour: Array) -> Int64s:
     """The corners (N, 2) along pixel edges of a contour (M, 2) at twice the resolution."""
     vertices = (contour.astype(np.int64) + 1) // 2
     is_new = np.any(vertices != np.roll(vertices, 1, axis=0), axis=1)

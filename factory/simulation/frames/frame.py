@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from ...common.array_types import Bools, Float32s, Float64s, Floats, Int32s, Int64s, UInt8s, UInt16s
 from ...common.errors import FrameError
 from ...dataset.frame_ref import FrameRef
 
@@ -36,9 +37,7 @@ class Intrinsics:
     cy: float
     distortion: tuple[float, ...] = ()
 
-    def directions(
-        self, height: int, width: int
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def directions(self, height: int, width: int) -> tuple[Float64s, Float64s]:
         """(W,) x / z of the columns and (H,) y / z of the rows: P = z K^-1 (u, v, 1)^T."""
         return (np.arange(width) - self.cx) / self.fx, (np.arange(height) - self.cy) / self.fy
 
@@ -99,8 +98,8 @@ class Surroundings:
         camera's place at the first frame, rows go along the world's y and columns along its x.
     """
 
-    world_from_start: npt.NDArray[np.float64]
-    ground_m: npt.NDArray[np.float32]
+    world_from_start: Float64s
+    ground_m: Float32s
     step_m: float
 
 
@@ -111,7 +110,7 @@ class Body(Protocol):
     def salt(self) -> int:
         """32 bits that tell its cells from those of the world and of other objects."""
 
-    def camera_m(self, own_m: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    def camera_m(self, own_m: Floats) -> Float64s:
         """(N, 3) places in camera axes of (N, 3) places in the object's own axes, at rest."""
 
 
@@ -125,12 +124,12 @@ class MovingPixels:
     hidden_px: (B,) int64, of those in the image, hidden by something nearer.
     """
 
-    pixel: npt.NDArray[np.int32]
-    body: npt.NDArray[np.int32]
-    own_m: npt.NDArray[np.float64]
+    pixel: Int32s
+    body: Int32s
+    own_m: Float64s
     bodies: tuple[Body, ...]
-    alone_px: npt.NDArray[np.int64]
-    hidden_px: npt.NDArray[np.int64]
+    alone_px: Int64s
+    hidden_px: Int64s
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,20 +153,20 @@ class Frame:
     """
 
     ref: FrameRef
-    rgb: npt.NDArray[np.uint8]
-    depth_m: npt.NDArray[np.float32]
+    rgb: UInt8s
+    depth_m: Float32s
     intrinsics: Intrinsics
-    world_from_camera: npt.NDArray[np.float64] | None = None
-    segmentation: npt.NDArray[np.uint8] | None = None
-    instance: npt.NDArray[np.uint16] | None = None
+    world_from_camera: Float64s | None = None
+    segmentation: UInt8s | None = None
+    instance: UInt16s | None = None
     time_s: float | None = None
     altitude_m: float | None = None
-    boxes: npt.NDArray[np.float64] | None = None
+    boxes: Float64s | None = None
     surroundings: Surroundings | None = None
     moving: MovingPixels | None = None
 
     @property
-    def valid(self) -> npt.NDArray[np.bool_]:
+    def valid(self) -> Bools:
         """(H, W) bool: pixels that carry a depth."""
         return self.depth_m > 0
 

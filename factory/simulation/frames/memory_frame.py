@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ...common.array_types import Array, Float32s, UInt8s
 from ...common.errors import FrameError
 from ...dataset.frame_ref import FrameRef
 from .frame import LIKELY_M, Frame, Intrinsics, checked
@@ -34,7 +35,7 @@ def frame_from_arrays(
     return checked(Frame(ref, colours, depths, intrinsics), bad_depth="mask")
 
 
-def _colours(rgb: npt.ArrayLike) -> npt.NDArray[np.uint8]:
+def _colours(rgb: npt.ArrayLike) -> UInt8s:
     image = _as_array(rgb, "rgb")
     if image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise ValueError(f"rgb has shape {image.shape}; expected (H, W, 3): red, green, blue")
@@ -45,7 +46,7 @@ def _colours(rgb: npt.ArrayLike) -> npt.NDArray[np.uint8]:
     return image.astype(np.uint8)
 
 
-def _depths(depth_m: npt.ArrayLike) -> npt.NDArray[np.float32]:
+def _depths(depth_m: npt.ArrayLike) -> Float32s:
     if isinstance(depth_m, np.ma.MaskedArray):
         depth_m = np.where(depth_m.mask, 0, depth_m.data)
     depths = _as_array(depth_m, "depth_m")
@@ -85,7 +86,7 @@ def _check_intrinsics(intrinsics: Intrinsics) -> None:
             raise ValueError(f"{name}={value}: a focal length in pixels is positive")
 
 
-def _as_array(values: Any, name: str) -> npt.NDArray[Any]:
+def _as_array(values: Any, name: str) -> Array:
     try:
         array = np.asarray(values)
     except (TypeError, ValueError) as error:  # ragged lists
@@ -95,5 +96,5 @@ def _as_array(values: Any, name: str) -> npt.NDArray[Any]:
     return array
 
 
-def _size(image: npt.NDArray[Any]) -> str:
+def _size(image: Array) -> str:
     return f"{image.shape[1]}x{image.shape[0]}"

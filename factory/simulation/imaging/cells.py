@@ -9,11 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-Words = npt.NDArray[np.uint32]
-Cells = npt.NDArray[np.int64]
-Doubles = npt.NDArray[np.float64]
+from ...common.array_types import Float32s, Float64s, Int64s, UInt32s
 
 _STEPS = np.array([73856093, 19349663, 83492791], np.uint32)
 # One word for each axis, to draw the place of a cell's point in the cell.
@@ -28,13 +25,13 @@ class OccupiedCells(NamedTuple):
     first: (M,) int64, a scatterer of each.
     """
 
-    names: Words
-    powers: npt.NDArray[np.float32]
-    points_m: Doubles
-    first: npt.NDArray[np.int64]
+    names: UInt32s
+    powers: Float32s
+    points_m: Float64s
+    first: Int64s
 
 
-def cell_names(cells: Cells, salt: Words | np.uint32) -> Words:
+def cell_names(cells: Int64s, salt: UInt32s | np.uint32) -> UInt32s:
     """(K,) names of (K, 3) cells.  salt: keeps apart what has axes of its own; one, or (K,)."""
     from . import kernels  # loads numba
 
@@ -42,7 +39,7 @@ def cell_names(cells: Cells, salt: Words | np.uint32) -> Words:
     return np.asarray(kernels.scrambled(corners ^ salt), np.uint32)
 
 
-def places_in_cells(names: Words) -> Doubles:
+def places_in_cells(names: UInt32s) -> Float64s:
     """(3, K), where the point of each cell lies in it, 0 to 1: the top 24 bits of hashes."""
     from . import kernels  # loads numba
 
@@ -51,9 +48,7 @@ def places_in_cells(names: Words) -> Doubles:
     )
 
 
-def occupied_cells(
-    cells: Cells, names: Words, powers: npt.NDArray[np.float32], edge_m: float
-) -> OccupiedCells:
+def occupied_cells(cells: Int64s, names: UInt32s, powers: Float32s, edge_m: float) -> OccupiedCells:
     """The cells of K scatterers, each once.
 
     cells: (K, 3) of edge `edge_m`.  names: (K,) by `cell_names`.  powers: (K,).

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Bools, Float32s
 from ...common.errors import FrameError
 from ..sonar import polar, transfer
-from .contract import EffectCloud, Floats, Layers, SceneSample, effect_clouds
+from .contract import EffectCloud, SceneSample, effect_clouds
 from .effect import DrawnEffect
 from .expected import Expected, display, expected
 from .signal import Ping, Signal, averaged, beamform, beamform_power, is_audible
@@ -45,7 +45,7 @@ class CoherentScene(Ping):
         return super().full_scale if self.static is None else self.static.full_scale
 
     @property
-    def filled(self) -> npt.NDArray[np.bool_]:
+    def filled(self) -> Bools:
         """(range_bins, beams) bool: bins in which insonified surface lies."""
         rows, beams = self.shape
         samples = self.surface.sonar.samples_per_bin
@@ -69,7 +69,7 @@ class CoherentSample(SceneSample):
     scene: CoherentScene
 
     @property
-    def clean(self) -> Floats:
+    def clean(self) -> Float32s:
         """See `SceneSample`."""
         acoustics = self.scene.acoustics
         if acoustics.target == "noise_free":
@@ -81,12 +81,12 @@ class CoherentSample(SceneSample):
         return self._displayed(state, ())
 
     @property
-    def mean(self) -> Floats:
+    def mean(self) -> Float32s:
         """(range_bins, beams) what the mean of noisy images with other random draws shows."""
         state = expected(self.scene, self.effects, standing=self.scene.acoustics.standing)
         return self._displayed(state, ())
 
-    def noisy(self, effects: Collection[str]) -> Floats:
+    def noisy(self, effects: Collection[str]) -> Float32s:
         """See `SceneSample`."""
         ping = self.scene
         level = received(ping, [effect for effect in self.effects if effect.name in effects])
@@ -98,13 +98,13 @@ class CoherentSample(SceneSample):
         grey = transfer.grey(level, float(full_scale), ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
 
-    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
+    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Array]:
         """Of intensity_db, field: (range_bins, beams) float32 dB re 1 uPa, complex64 uPa.
 
         What saturates and what the device adds is in them as it is in the image.
         Raises FrameError for the field of several looks.
         """
-        images: dict[str, Layers] = {}
+        images: dict[str, Array] = {}
         if not {"intensity_db", "field"}.intersection(layers):
             return images
         ping = self.scene
@@ -126,7 +126,7 @@ class CoherentSample(SceneSample):
             images["field"] = np.where(is_seen, complex_field, np.complex64(0))
         return images
 
-    def without(self, artefacts: Collection[str]) -> Floats:
+    def without(self, artefacts: Collection[str]) -> Float32s:
         """See `SceneSample`."""
         if "speckle" not in artefacts:
             return super().without(artefacts)
@@ -141,7 +141,7 @@ class CoherentSample(SceneSample):
         state = expected(ping, acting, realised=True, standing=ping.acoustics.standing)
         return self._displayed(state, shown_names)
 
-    def _displayed(self, state: Expected, effects: Collection[str]) -> Floats:
+    def _displayed(self, state: Expected, effects: Collection[str]) -> Float32s:
         """The expected image of intensities at the raw samples, and the clouds' echoes."""
         ping = self.scene
         state = state.averaged(ping.kernel, ping.surface.sonar.samples_per_bin)
@@ -150,7 +150,7 @@ class CoherentSample(SceneSample):
         grey = display(state, ping.full_scale, ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
 
-    def _added(self, effects: Collection[str]) -> list[Floats]:
+    def _added(self, effects: Collection[str]) -> list[Float32s]:
         """(range_bins, beams) echo level of the cloud of each of the named effects."""
         surface = self.scene.surface
         return [
@@ -160,14 +160,14 @@ class CoherentSample(SceneSample):
         ]
 
 
-def received(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
+def received(ping: Ping, effects: Sequence[DrawnEffect]) -> Float32s:
     """(range_bins, beams) float32 amplitude after time-varying gain, with the drawn effects."""
     field = received_field(ping, effects)
     intensity = (field**2).sum(axis=1).sum(axis=0)
     return np.asarray(np.sqrt(intensity / np.float32(len(field))))
 
 
-def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
+def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Float32s:
     """(looks, 2, range_bins, beams) float32 field after time-varying gain, over the source level.
 
     Effects of a stage act in the order in which they are given; those of stage points do not act.

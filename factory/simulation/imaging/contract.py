@@ -11,15 +11,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from ...common.array_types import Array, Float32s
 from ..sonar.polar import Echoes
 from ..sonar.window import Window
 from .effect import DrawnEffect
-
-Floats = npt.NDArray[np.float32]
-Layers = npt.NDArray[np.generic]
 
 
 class EffectCloud(NamedTuple):
@@ -53,14 +48,14 @@ class SceneSample(ABC):
 
     @property
     @abstractmethod
-    def clean(self) -> Floats:
+    def clean(self) -> Float32s:
         """The clean image."""
 
     @abstractmethod
-    def noisy(self, effects: Collection[str]) -> Floats:
+    def noisy(self, effects: Collection[str]) -> Float32s:
         """The image with those of the drawn effects that are named."""
 
-    def without(self, artefacts: Collection[str]) -> Floats:
+    def without(self, artefacts: Collection[str]) -> Float32s:
         """The image as it would be without these artefacts, under the same random streams.
 
         Without speckle it is the expected displayed image: what averages out is averaged.
@@ -71,7 +66,7 @@ class SceneSample(ABC):
         """Names of the drawn effects that show none of these artefacts."""
         return {drawn.name for drawn in self.effects if drawn.effect.artefact not in artefacts}
 
-    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
+    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Array]:
         """Those of the layers that say what was received, with those of the drawn effects."""
         return {}
 

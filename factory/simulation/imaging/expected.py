@@ -19,9 +19,9 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from ...common.array_types import Float32s
 from ..sonar import transfer
 from ..sonar.settings import TransferSettings
-from .contract import Floats
 from .effect import DrawnEffect
 from .signal import Ping, averaged, is_audible
 
@@ -46,10 +46,10 @@ class Expected:
     scintillation_nepers2: variance of the logarithm of the intensity that comes on top of all.
     """
 
-    echo: Floats
-    noise: Floats
-    steady: Floats
-    textured: Floats
+    echo: Float32s
+    noise: Float32s
+    steady: Float32s
+    textured: Float32s
     looks: float = 1
     shape: float = np.inf
     standing: float = 0.0
@@ -61,19 +61,19 @@ class Expected:
         for plane in (self.echo, self.noise, self.steady, self.textured):
             plane *= factor
 
-    def averaged(self, kernel: Floats, samples: int) -> Expected:
+    def averaged(self, kernel: Float32s, samples: int) -> Expected:
         """The expected intensities of range bins, from those of raw samples."""
         planes = (averaged(p, samples) for p in (self.echo, self.noise, self.steady, self.textured))
         echo, noise, steady, textured = planes
         more = self.looks * looks(kernel, samples)
         return replace(self, echo=echo, noise=noise, steady=steady, textured=textured, looks=more)
 
-    def total(self) -> Floats:
+    def total(self) -> Float32s:
         """(range_bins, beams) expected intensity."""
         return self.echo + self.noise + self.steady
 
 
-def looks(kernel: Floats, samples: int) -> float:
+def looks(kernel: Float32s, samples: int) -> float:
     """Independent looks that the average of neighbouring samples is worth.
 
     k samples whose fields have the correlations rho are worth k^2 / sum |rho|^2 looks (Goodman,
@@ -106,7 +106,7 @@ def expected(
     return state
 
 
-def display(state: Expected, full_scale: float, settings: TransferSettings) -> Floats:
+def display(state: Expected, full_scale: float, settings: TransferSettings) -> Float32s:
     """(range_bins, beams) float32 expected grey values.
 
     full_scale: intensity that is shown as grey value 1.
@@ -136,7 +136,7 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     return _interpolate_grey(table, level_step, variance_step)
 
 
-def _interpolate_grey(table: Floats, level_step: Floats, variance_step: Floats) -> Floats:
+def _interpolate_grey(table: Float32s, level_step: Float32s, variance_step: Float32s) -> Float32s:
     """Grey values between the four nearest of a table as of `_table`; steps count its entries."""
     levels = table.shape[1]
     row = np.minimum(variance_step.astype(np.intp), _VARIANCES - 2)
@@ -149,8 +149,8 @@ def _interpolate_grey(table: Floats, level_step: Floats, variance_step: Floats) 
 
 
 def interpolate_table(
-    table: Floats, place: Floats, first: npt.NDArray[np.intp] | int = 0
-) -> Floats:
+    table: Float32s, place: Float32s, first: npt.NDArray[np.intp] | int = 0
+) -> Float32s:
     """Values of a table at fractional places, linear in between; first: where it begins."""
     step = np.minimum(place.astype(np.intp), len(table) - 2)
     low = np.take(table, first + step)
@@ -159,7 +159,7 @@ def interpolate_table(
 
 
 @lru_cache(maxsize=32)
-def _table(settings: TransferSettings) -> tuple[float, Floats]:
+def _table(settings: TransferSettings) -> tuple[float, Float32s]:
     """Lowest level, dB; (variances, levels) expected grey values of gamma-distributed intensities.
 
     variances: Var[I] / E[I]^2, 0 to 1.  Rician intensities are approximated by a gamma distribution
@@ -181,7 +181,7 @@ def _table(settings: TransferSettings) -> tuple[float, Floats]:
 
 
 @lru_cache(maxsize=64)
-def _texture_shifts_db(shape: float, power: float) -> Floats:
+def _texture_shifts_db(shape: float, power: float) -> Float32s:
     """(33,) 10 / p log10 E[tau^p] of the displayed power p (10 E[log10 tau]), from none to all."""
     from scipy import special  # slow to import
 

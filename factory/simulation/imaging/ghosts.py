@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s, Float64s, Int32s, Int64s, UInt32s
 from ..sonar.ghosts import arrivals_m, lengths
 from .cells import cell_names, occupied_cells
-
-Words = npt.NDArray[np.uint32]
-Doubles = npt.NDArray[np.float64]
 
 # Of the cells of mirror images, for each direction of their paths.
 _DIRECTION_SALTS = np.array([0x3C6EF372, 0xA54FF53A], np.uint32)
@@ -26,9 +23,9 @@ _DIRECTION_SALTS = np.array([0x3C6EF372, 0xA54FF53A], np.uint32)
 class GhostPoints(NamedTuple):
     """names: (M,) uint32.  powers: (M,) float32.  sonar_m: (3, M) places in sonar axes."""
 
-    names: Words
-    powers: npt.NDArray[np.float32]
-    sonar_m: Doubles
+    names: UInt32s
+    powers: Float32s
+    sonar_m: Float64s
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,14 +38,14 @@ class GhostScatterers:
     world_from_sonar: (3, 4).
     """
 
-    bins: npt.NDArray[np.int32]
-    powers: npt.NDArray[np.float32]
-    image_m: Doubles
-    second_m: Doubles
-    direction: npt.NDArray[np.int64]
-    world_from_sonar: Doubles
+    bins: Int32s
+    powers: Float32s
+    image_m: Float64s
+    second_m: Float64s
+    direction: Int64s
+    world_from_sonar: Float64s
 
-    def names(self, edge_m: float) -> Words:
+    def names(self, edge_m: float) -> UInt32s:
         """(K,) uint32 names of the world cells of this edge in which the mirror images lie."""
         return self._names(self._cells(edge_m))
 
@@ -64,14 +61,14 @@ class GhostScatterers:
         sonar_m = arrivals[direction, np.arange(len(direction))].T
         return GhostPoints(occupied.names, occupied.powers, sonar_m)
 
-    def _cells(self, edge_m: float) -> npt.NDArray[np.int64]:
+    def _cells(self, edge_m: float) -> Int64s:
         world_m = _turned(self.world_from_sonar[:, :3], self.image_m) + self.world_from_sonar[:, 3]
         return np.asarray(np.floor(world_m / edge_m), np.int64)
 
-    def _names(self, cells: npt.NDArray[np.int64]) -> Words:
+    def _names(self, cells: Int64s) -> UInt32s:
         return cell_names(cells, _DIRECTION_SALTS[self.direction])
 
-    def _beside_second_m(self, index: npt.NDArray[np.int64], image_m: Doubles) -> Doubles:
+    def _beside_second_m(self, index: Int64s, image_m: Float64s) -> Float64s:
         """(M, 3) the points whose mirror images are `image_m`, near those of the ghosts `index`."""
         across_m = self.image_m[index] - self.second_m[index]
         normal = across_m / lengths(across_m)[:, None]
@@ -80,7 +77,7 @@ class GhostScatterers:
         return np.asarray(self.second_m[index] + step_m - 2 * along_normal_m * normal)
 
 
-def _turned(matrix: Doubles, points: Doubles) -> Doubles:
+def _turned(matrix: Float64s, points: Float64s) -> Float64s:
     """(N, 3) points times a (3, 3) matrix, summed in one order on every machine."""
     x, y, z = points.T
     return np.stack([line[0] * x + line[1] * y + line[2] * z for line in matrix], axis=-1)

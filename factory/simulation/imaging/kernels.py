@@ -8,14 +8,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s, Float64s, Int32s, UInt8s, UInt16s, UInt32s
 from ...common.compiled import compiled
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int32]
-Words = npt.NDArray[np.uint32]
 
 _A = np.uint32(0x85EBCA6B)
 _B = np.uint32(0xC2B2AE35)
@@ -70,7 +65,7 @@ def _corner(x: Any, y: Any, z: Any) -> Any:
 
 
 @compiled(f"void(float32[:, ::1], {_MATRIX}, float32[:, ::1])")
-def products(rows: Floats, matrix: Floats, out: Floats) -> None:
+def products(rows: Float32s, matrix: Float32s, out: Float32s) -> None:
     """(n, m) times (m, k), n and m multiples of 4; the order of the sums is fixed.
 
     Four rows by four sources at a time: each number that is loaded or stored serves four products.
@@ -126,7 +121,9 @@ def products(rows: Floats, matrix: Floats, out: Floats) -> None:
 
 
 @compiled(f"void(uint32, {_MATRIX}, float32[::1], float32[::1], float32[:, :, ::1])")
-def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Floats) -> None:
+def add_white(
+    key: int, table: Float32s, along: Float32s, across: Float32s, planes: Float32s
+) -> None:
     """Add complex circular noise, a function of the key and the place.
 
     along, across: its amplitude is their product, (rows,) and (beams,).  planes: (2, rows, beams).
@@ -231,8 +228,8 @@ def _share_before(part: Any, tilt: Any) -> Any:
 
 @compiled()
 def _project_row(
-    depth_m: Floats, radiance: Floats, across: Floats, down: float, rotation: Floats,
-    position_m: Floats, ground_up: Floats, near_m: Any, bins_per_m: Any, columns_out: Floats,
+    depth_m: Float32s, radiance: Float32s, across: Float32s, down: float, rotation: Float32s,
+    position_m: Float32s, ground_up: Float32s, near_m: Any, bins_per_m: Any, columns_out: Float32s,
 ) -> None:  # fmt: skip
     """Bearing, elevation, range bin and echo power of a row of camera pixels.
 
@@ -290,9 +287,9 @@ def _project_row(
     " Tuple((int32[::1], float32[::1], int32[::1], float32[::1])), int32[::1])"
 )
 def place_scatterers(
-    camera: Any, radiance: Floats, labels: npt.NDArray[np.uint8], factor: Floats,
-    reflectivity: Floats, sonar: Any, grid: Any, pattern: Floats, widest_sine: float,
-    bins: Any, scatterers: Any, row_end: Integers,
+    camera: Any, radiance: Float32s, labels: UInt8s, factor: Float32s,
+    reflectivity: Float32s, sonar: Any, grid: Any, pattern: Float32s, widest_sine: float,
+    bins: Any, scatterers: Any, row_end: Int32s,
 ) -> int:  # fmt: skip
     """Each lit pixel as scatterers of polar bins; returns how many there are.
 
@@ -428,8 +425,8 @@ def place_scatterers(
     f"void({_PLACES}, int32[::1], {_CAMERA}, float64[:, ::1], float64, uint32[::1], uint32[::1])"
 )
 def cells(
-    scatterers: Any, row_end: Integers, camera: Any, world_from_camera: Doubles, cell_m: float,
-    name_of: Words, place_of: Words,
+    scatterers: Any, row_end: Int32s, camera: Any, world_from_camera: Float64s, cell_m: float,
+    name_of: UInt32s, place_of: UInt32s,
 ) -> None:  # fmt: skip
     """The world cells in which scatterers lie.
 
@@ -507,7 +504,12 @@ def cells(
 
 @compiled("boolean(uint32[::1], uint32[::1], int64, uint32[:, ::1], uint32[:, ::1], float32[::1])")
 def count_cells(
-    name_of: Words, place_of: Words, parts: int, table: Words, sorted_: Words, share_of: Floats
+    name_of: UInt32s,
+    place_of: UInt32s,
+    parts: int,
+    table: UInt32s,
+    sorted_: UInt32s,
+    share_of: Float32s,
 ) -> Any:
     """1 / sqrt(points of its cell) for each point: amplitudes that add up coherently.
 
@@ -570,8 +572,8 @@ def count_cells(
     f" UniTuple({_MATRIX}, 2), float32[:, ::1])"
 )
 def scatter(
-    bin_of: Integers, root_of: Floats, name_of: Words, share_of: Floats,
-    phase_of: npt.NDArray[np.uint16], key: int, tables: Any, bins: Floats,
+    bin_of: Int32s, root_of: Float32s, name_of: UInt32s, share_of: Float32s,
+    phase_of: UInt16s, key: int, tables: Any, bins: Float32s,
 ) -> None:  # fmt: skip
     """Add each point's amplitude times the coefficient of its cell to its bin; bins: (bins, 2).
 
@@ -610,7 +612,7 @@ _MOST_DOWN = 8
     " Tuple((uint32[::1], float32[::1], int32[:, ::1])))"
 )
 def gather(
-    scatterers: Any, powers: Floats, camera: Any, world_from_camera: Doubles, cell_m: float,
+    scatterers: Any, powers: Float32s, camera: Any, world_from_camera: Float64s, cell_m: float,
     cells: Any,
 ) -> Any:  # fmt: skip
     """Spread the scatterers over the cells of the world; returns how many points that takes.
@@ -693,7 +695,7 @@ def _smooth(part: Any) -> Any:
 
 @compiled(f"void(float32[:, ::1], float64[:, ::1], uint32, {_MATRIX}, float32[::1])")
 def lattice(
-    points_m: Floats, lattice_from_camera: Doubles, key: int, table: Floats, normal: Floats
+    points_m: Float32s, lattice_from_camera: Float64s, key: int, table: Float32s, normal: Float32s
 ) -> None:
     """A standard normal field at (3, N) points, smooth over distances of 1 after (3, 4).
 
@@ -745,7 +747,7 @@ _NEAREST_M = np.float32(1e-3)  # keeps directions finite
     " UniTuple(Tuple((float32[::1], float32[:, ::1])), 2))"
 )
 def mirror(
-    sources: Integers, points_m: Floats, sonar: Any, level: Any, pattern: Floats, loss: float,
+    sources: Int32s, points_m: Float32s, sonar: Any, level: Any, pattern: Float32s, loss: float,
     nepers_per_m: float, bins_per_m: float, beams: int, echoes: Any,
 ) -> None:  # fmt: skip
     """Add to each bin what comes to it by way of a plane; see `noise.paths`.

@@ -11,16 +11,15 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ...common.array_types import Array, Float32s, Int32s, UInt8s, UInt16s
 from ...common.errors import FrameError
 from ..sonar import polar
 from ..sonar.surface import LitSurface
 
-Pixels = npt.NDArray[np.generic]
-
 _OF_ECHOES = {"range", "azimuth", "elevation", "elevation_min", "elevation_max", "segmentation"}
 
 
-def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Pixels]:
+def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Array]:
     """(range_bins, beams) images of the requested layers, by the names of `OPTIONAL_LAYERS`.
 
     requested: of range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
@@ -29,7 +28,7 @@ def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Pix
     """
     frame = surface.frame
     sonar = surface.sonar
-    layers = dict[str, Pixels]()
+    layers = dict[str, Array]()
     shape = sonar.range_bins, sonar.beams
     if "valid_azimuth" in requested:
         beams = polar.seen_beams(surface.window, sonar)
@@ -43,7 +42,7 @@ def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Pix
     strongest = np.full(sonar.range_bins * sonar.beams, -1, np.intp)
     strongest[bins[order]] = order
 
-    def paint_strongest(values: npt.NDArray[np.generic], nothing: float) -> Pixels:
+    def paint_strongest(values: Array, nothing: float) -> Array:
         shown = np.where(strongest >= 0, values[strongest], values.dtype.type(nothing))
         return shown.reshape(shape)
 
@@ -80,10 +79,10 @@ def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Pix
 
 def _loudest(
     bins: npt.NDArray[np.integer],
-    strength: npt.NDArray[np.float32],
-    segmentation: npt.NDArray[np.uint8],
-    instance: npt.NDArray[np.uint16],
-    pixel: npt.NDArray[np.int32],
+    strength: Float32s,
+    segmentation: UInt8s,
+    instance: UInt16s,
+    pixel: Int32s,
     bin_count: int,
 ) -> npt.NDArray[np.intp]:
     """For each flat bin an echo of the object, or the ground, that has most of the bin's power.

@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s, Float64s, Int32s, Int64s, UInt32s
 from ..frames.frame import Body, Frame, MovingPixels
 from .cells import cell_names, occupied_cells
-
-Words = npt.NDArray[np.uint32]
-Points = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,17 +24,17 @@ class MovingScatterers:
     """
 
     body: Body
-    index: npt.NDArray[np.int64]
-    own_m: Points
+    index: Int64s
+    own_m: Float64s
 
-    def cells(self, edge_m: float) -> tuple[Words, Words]:
+    def cells(self, edge_m: float) -> tuple[UInt32s, UInt32s]:
         """(K,) uint32 names of the cells of this edge, and their places in a table of cells."""
         names = self._names(np.floor(self.own_m / edge_m).astype(np.int64))
         from . import kernels  # loads numba
 
         return names, kernels.scrambled(names)
 
-    def points(self, powers: npt.NDArray[np.float32], edge_m: float) -> MovingPoints:
+    def points(self, powers: Float32s, edge_m: float) -> MovingPoints:
         """The object's cells as one point each.
 
         powers: (K,) of the scatterers.
@@ -46,7 +43,7 @@ class MovingScatterers:
         occupied = occupied_cells(cells, self._names(cells), powers, edge_m)
         return MovingPoints(occupied.names, occupied.powers, self.body.camera_m(occupied.points_m))
 
-    def _names(self, cells: npt.NDArray[np.int64]) -> Words:
+    def _names(self, cells: Int64s) -> UInt32s:
         return cell_names(cells, np.uint32(self.body.salt))
 
 
@@ -54,13 +51,13 @@ class MovingScatterers:
 class MovingPoints:
     """names: (K,) uint32.  powers: (K,) float32.  camera_m: (K, 3) places in camera axes."""
 
-    names: Words
-    powers: npt.NDArray[np.float32]
-    camera_m: Points
+    names: UInt32s
+    powers: Float32s
+    camera_m: Float64s
 
 
 def moving_scatterers(
-    frame: Frame, pixels: npt.NDArray[np.int32], parts: npt.NDArray[np.float32]
+    frame: Frame, pixels: Int32s, parts: Float32s
 ) -> tuple[MovingScatterers, ...]:
     """The scatterers of each moving object of a frame.
 
@@ -84,10 +81,10 @@ def moving_scatterers(
 
 def _between(
     moving: MovingPixels,
-    place: npt.NDArray[np.int64],
-    parts: npt.NDArray[np.float32],
+    place: Int64s,
+    parts: Float32s,
     width: int,
-) -> Points:
+) -> Float64s:
     """(K, 3) places of scatterers between a pixel and the one below, where both are one object."""
     own_m = moving.own_m[place]
     pixel_below = moving.pixel[place] + width
@@ -97,7 +94,7 @@ def _between(
     return np.asarray(own_m + parts[:, None] * step_m)
 
 
-def static_index(moving: tuple[MovingScatterers, ...], count: int) -> npt.NDArray[np.int64] | slice:
+def static_index(moving: tuple[MovingScatterers, ...], count: int) -> Int64s | slice:
     """Which of `count` scatterers belong to the static scene."""
     if not moving:
         return slice(None)

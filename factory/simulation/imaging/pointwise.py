@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from ...common import seeds
+from ...common.array_types import Bools, Float32s
 from ..sonar import polar, transfer
 from ..sonar.ghosts import ghost_echoes
 from ..sonar.polar import Echoes
 from ..sonar.surface import LitSurface
-from .contract import EffectCloud, Floats, SceneSample, effect_clouds
+from .contract import EffectCloud, SceneSample, effect_clouds
 from .effect import DrawnEffect
 from .settings import ResampleSettings
 
@@ -47,7 +47,7 @@ class PointwiseScene:
         return Echoes(*(np.concatenate(pair) for pair in pairs))
 
     @property
-    def filled(self) -> npt.NDArray[np.bool_]:
+    def filled(self) -> Bools:
         """(range_bins, beams) bool: bins in which insonified surface lies."""
         return self.surface.insonified.hit
 
@@ -66,7 +66,7 @@ class PointwiseScene:
             effects, clouds, rate, len(sampled_echoes), full_scale, self, sampled_echoes, level
         )
 
-    def level(self, echoes: Sequence[Echoes]) -> Floats:
+    def level(self, echoes: Sequence[Echoes]) -> Float32s:
         """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""
         (scene, *added) = echoes
         window = self.surface.window
@@ -85,15 +85,15 @@ class PointwiseSample(SceneSample):
 
     scene: PointwiseScene
     echoes: Echoes
-    level: Floats
+    level: Float32s
 
     @property
-    def clean(self) -> Floats:
+    def clean(self) -> Float32s:
         """See `SceneSample`."""
         curve = self.scene.surface.sonar.transfer
         return transfer.grey(self.level, self.full_scale, curve, "intensity")
 
-    def noisy(self, effects: Collection[str]) -> Floats:
+    def noisy(self, effects: Collection[str]) -> Float32s:
         """See `SceneSample`."""
         chosen = [cloud for cloud in self.clouds if cloud.name in effects]
         level = self.scene.level(noisy_cloud(self.echoes, chosen, self.full_scale))

@@ -17,8 +17,8 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Bools, Float32s, Float64s, Int32s, UInt32s
 from ...common.errors import FrameError
 from ..frames.frame import Frame
 from ..sonar import array
@@ -30,8 +30,6 @@ from ..sonar.window import Window
 from .ghosts import GhostScatterers
 from .moving import MovingScatterers, moving_scatterers
 from .settings import CoherentSettings
-
-Floats = npt.NDArray[np.float32]
 
 _BEAM_STEPS = 16_384
 # Of one part of the table of cells: what the second cache of a core holds, in so few parts that
@@ -55,21 +53,21 @@ class Scatterers:
     ghosts: what surfaces mirror once; its power is in `power`, too.
     """
 
-    bins: npt.NDArray[np.int32]
-    powers: Floats
-    pixels: npt.NDArray[np.int32]
-    parts: Floats
-    row_ends: npt.NDArray[np.int32]
-    power: Floats
-    owner: npt.NDArray[np.int32]
-    in_beam: npt.NDArray[np.bool_]
-    loss: Floats
+    bins: Int32s
+    powers: Float32s
+    pixels: Int32s
+    parts: Float32s
+    row_ends: Int32s
+    power: Float32s
+    owner: Int32s
+    in_beam: Bools
+    loss: Float32s
     frame: Frame
-    world_from_camera: npt.NDArray[np.float64]
+    world_from_camera: Float64s
     ghosts: GhostScatterers | None = None
-    _cells: dict[float, tuple[npt.NDArray[np.uint32], Floats]] = field(default_factory=dict)
+    _cells: dict[float, tuple[UInt32s, Float32s]] = field(default_factory=dict)
 
-    def world_cells(self, edge_m: float) -> tuple[npt.NDArray[np.uint32], Floats]:
+    def world_cells(self, edge_m: float) -> tuple[UInt32s, Float32s]:
         """The world cells of this edge in which the scatterers lie: names and shares.
 
         (N,) uint32 hashes of the cells, and (N,) float32 1 / sqrt(scatterers of the cell), a factor
@@ -96,7 +94,7 @@ class Scatterers:
         return moving_scatterers(self.frame, self.pixels, self.parts)
 
     @cached_property
-    def surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
+    def surface(self) -> tuple[Int32s, Float32s]:
         """(M,) int32 flat polar bins in which a surface lies, and (3, M) float32 a point of it.
 
         Points are in camera axes, metres.
@@ -111,7 +109,7 @@ class Scatterers:
         return bins, np.stack([rays.across[column] * z, rays.down[row] * z, z])
 
 
-def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Floats:
+def shares(names: UInt32s, places: UInt32s) -> Float32s:
     """(N,) float32: see `world_cells`; the arguments are what `kernels.cells` gives."""
     from . import kernels  # loads numba
 
@@ -173,9 +171,7 @@ def scatterers(
     )
 
 
-def _place_ghosts(
-    surface: LitSurface, echo: npt.NDArray[np.float64], pose: npt.NDArray[np.float64]
-) -> GhostScatterers | None:
+def _place_ghosts(surface: LitSurface, echo: Float64s, pose: Float64s) -> GhostScatterers | None:
     """The ghosts of one bounce; None where there are none.
 
     The second surface scatters by Lambert's law, whatever its exponent; a bundle of rays that is
@@ -188,7 +184,7 @@ def _place_ghosts(
         return None
     frame = surface.frame
     sonar = surface.sonar
-    classes: npt.NDArray[Any] = np.zeros(len(paths.radiance), np.uint8)
+    classes: Array = np.zeros(len(paths.radiance), np.uint8)
     if frame.segmentation is not None:
         classes = frame.segmentation.reshape(-1)[paths.second_pixel]
     pattern = vertical_table(sonar)
@@ -220,9 +216,7 @@ def _place_ghosts(
     )
 
 
-def polar_bins(
-    sonar_m: npt.NDArray[np.float64], window: Window, sonar: SonarSettings
-) -> npt.NDArray[np.int32]:
+def polar_bins(sonar_m: Float64s, window: Window, sonar: SonarSettings) -> Int32s:
     """(N,) int32 flat polar bins of (3, N) places in sonar axes; -1 outside the window."""
     ahead_m, left_m, up_m = sonar_m
     ground_squared = ahead_m * ahead_m + left_m * left_m
@@ -248,9 +242,9 @@ class CameraRays(NamedTuple):
     down: (H,) float32, y / z of the rows.
     """
 
-    depth_m: Floats
-    across: Floats
-    down: Floats
+    depth_m: Float32s
+    across: Float32s
+    down: Float32s
 
 
 def camera_rays(frame: Frame) -> CameraRays:
@@ -269,7 +263,7 @@ def grid_of(window: Window, sonar: SonarSettings) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-def _factor(surface: LitSurface, exponents: npt.NDArray[np.float64]) -> Floats:
+def _factor(surface: LitSurface, exponents: Float64s) -> Float32s:
     """(H, W): what the render lacks for other exponents than 2 or a sonar elsewhere, or (0, 0)."""
     frame = surface.frame
     mount = surface.sonar.mount
@@ -281,7 +275,7 @@ def _factor(surface: LitSurface, exponents: npt.NDArray[np.float64]) -> Floats:
 
 
 @lru_cache(maxsize=8)
-def beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
+def beam_table(sonar: SonarSettings) -> tuple[Float32s, Int32s]:
     """Sines of the beams' edges, and the beam at each of equal steps of the sine."""
     centres = sonar.beam_centres_rad()
     half = min(np.deg2rad(sonar.hfov_deg) / 2, np.deg2rad(89.9))
@@ -293,12 +287,12 @@ def beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
     return edges, np.clip(first, 0, sonar.beams - 1).astype(np.int32)
 
 
-def bin_centres_m(window: Window, sonar: SonarSettings) -> Floats:
+def bin_centres_m(window: Window, sonar: SonarSettings) -> Float32s:
     """(range_bins,) centres of the range bins, metres."""
     fraction = (np.arange(sonar.range_bins) + 0.5) / sonar.range_bins
     return np.asarray(window.range_min_m + fraction * window.range_span_m, np.float32)
 
 
-def vertical_table(sonar: SonarSettings) -> Floats:
+def vertical_table(sonar: SonarSettings) -> Float32s:
     """(4097,) two-way vertical intensity pattern at equal steps of sin(elevation) from -1 to 1."""
     return array.vertical_table(sonar.vfov_deg, sonar.array)

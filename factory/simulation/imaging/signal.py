@@ -7,8 +7,8 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s, Float64s, Int32s, UInt16s, UInt32s
 from ..sonar import array, polar, transfer
 from ..sonar.array import ArraySettings, WaterSettings, thermal_noise_db
 from ..sonar.settings import SonarSettings
@@ -16,9 +16,6 @@ from ..sonar.surface import LitSurface
 from ..sonar.window import Window
 from .scatterers import Scatterers, bin_centres_m, scatterers
 from .settings import CoherentSettings
-
-Floats = npt.NDArray[np.float32]
-Matrix = npt.NDArray[np.float64]
 
 # What factors leave out, as a part of the largest number of a matrix.
 _LEFT_OUT = 1e-6
@@ -36,8 +33,8 @@ class Signal:
         are averaged at the end.
     """
 
-    power: Floats
-    field: Floats
+    power: Float32s
+    field: Float32s
 
 
 class PointEchoes(NamedTuple):
@@ -50,11 +47,11 @@ class PointEchoes(NamedTuple):
     phases: (N,) uint16 phase of the two-way path, 65536ths of a turn; (0,): all 0.
     """
 
-    bins: npt.NDArray[np.int32]
-    amplitudes: Floats
-    cells: npt.NDArray[np.uint32]
-    shares: Floats
-    phases: npt.NDArray[np.uint16]
+    bins: Int32s
+    amplitudes: Float32s
+    cells: UInt32s
+    shares: Float32s
+    phases: UInt16s
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +99,7 @@ class Ping:
         return array.range_resolution_m(self.sonar.array, self.water.sound_speed_m_s())
 
     @cached_property
-    def range_m(self) -> Floats:
+    def range_m(self) -> Float32s:
         """(range_bins,) centres of the range bins, metres."""
         return bin_centres_m(self.window, self.sonar)
 
@@ -112,12 +109,12 @@ class Ping:
         return self.water.absorption_db_per_m(self.sonar.frequency_khz)
 
     @cached_property
-    def kernel(self) -> Floats:
+    def kernel(self) -> Float32s:
         """See `simnfnd.factory.simulation.sonar.array.range_kernel`."""
         return array.range_kernel(self.bin_m, self.sonar.array, self.water.sound_speed_m_s())
 
     @cached_property
-    def noise_share(self) -> Floats:
+    def noise_share(self) -> Float32s:
         """(beams,) what noise of intensity 1 in a beam and pulse is in a bin of this field.
 
         The point-spread leaves the sum of the echoes as it is: an echo that is the same everywhere
@@ -128,7 +125,7 @@ class Ping:
         return self.beam_share * np.float32(self.bin_m / pulse_m)
 
     @cached_property
-    def beam_share(self) -> Floats:
+    def beam_share(self) -> Float32s:
         """(beams,) distance to the next beam over the width of a beam."""
         sine = np.gradient(np.sin(self.sonar.beam_centres_rad()))
         return np.asarray(sine / array.beam_width_sine(self.sonar.array), np.float32)
@@ -142,7 +139,7 @@ class Ping:
         return float(10 ** (level_db / 10))
 
     @cached_property
-    def gain(self) -> Floats:
+    def gain(self) -> Float32s:
         """(range_bins,) time-varying gain on intensity: k log10 r + 2 a r, `CoherentSettings`."""
         range_m = np.maximum(self.range_m.astype(np.float64), 1e-3)
         gain_db = self.acoustics.tvg_log * np.log10(range_m)
@@ -151,7 +148,7 @@ class Ping:
         return np.asarray(10 ** (gain_db / 10), np.float32)
 
     @cached_property
-    def expected(self) -> Floats:
+    def expected(self) -> Float32s:
         """(range_bins, beams) expected intensity without noise, before that gain."""
         return beamform_power(self.scatterers.power, self)
 
@@ -171,44 +168,46 @@ class Ping:
         level = np.where(has_echo, np.sqrt(self.expected * self.gain[:, None]), np.float32(0))
         return transfer.full_scale(self.averaged(level), curve) ** 2
 
-    def averaged(self, amplitude: Floats) -> Floats:
+    def averaged(self, amplitude: Float32s) -> Float32s:
         """(rows, beams) of the image: the root of the mean intensity of its raw samples."""
         samples = self.surface.sonar.samples_per_bin
         return amplitude if samples == 1 else np.sqrt(averaged(amplitude**2, samples))
 
 
-def averaged(intensity: Floats, samples: int) -> Floats:
+def averaged(intensity: Float32s, samples: int) -> Float32s:
     """(rows, beams) float32: the mean of each `samples` rows of (samples * rows, beams)."""
     rows, beams = intensity.shape
     mean = intensity.reshape(rows // samples, samples, beams).mean(axis=1, dtype=np.float32)
     return np.ascontiguousarray(mean)
 
 
-def is_audible(plane: Floats) -> bool:
+def is_audible(plane: Float32s) -> bool:
     """Whether anything is not 0; a tenth of the time of `plane.any()`."""
     return bool((plane != 0).any())
 
 
-def beamform(field: Floats, ping: Ping) -> Floats:
+def beamform(field: Float32s, ping: Ping) -> Float32s:
     """The complex field after pulse compression and beamforming; same shape."""
     return blurred(field, ping.kernel, ping.sonar, power=False)
 
 
-def beamform_power(power: Floats, ping: Ping) -> Floats:
+def beamform_power(power: Float32s, ping: Ping) -> Float32s:
     """(range_bins, beams) expected intensity after both: what `beamform` does to speckle's mean."""
     intensity = blurred(power, ping.kernel**2, ping.sonar, power=True)
     # Differences of mirrored beams round to below zero where there is next to nothing.
     return np.asarray(np.maximum(intensity, 0, out=intensity))
 
 
-def white_noise(rng: np.random.Generator, looks: int, shape: tuple[int, int]) -> Floats:
+def white_noise(rng: np.random.Generator, looks: int, shape: tuple[int, int]) -> Float32s:
     """(looks, 2, *shape) float32: complex circular Gaussian noise of intensity 1."""
     noise = np.zeros((looks, 2, *shape), np.float32)
     add_white_noise(noise, rng, *(np.ones(side, np.float32) for side in shape))
     return noise
 
 
-def add_white_noise(field: Floats, rng: np.random.Generator, along: Floats, across: Floats) -> None:
+def add_white_noise(
+    field: Float32s, rng: np.random.Generator, along: Float32s, across: Float32s
+) -> None:
     """Add such noise to a field in place, times float32 amplitudes of the rows and the beams."""
     from . import kernels
 
@@ -235,14 +234,14 @@ def scattered(ping: Ping, rng: np.random.Generator, looks: float, points: PointE
 
 
 @lru_cache(maxsize=1)
-def _turns() -> Floats:
+def _turns() -> Float32s:
     """(65536, 2) float32 cosine and sine of equal steps of a turn."""
     angle = 2 * np.pi * np.arange(65_536) / 65_536
     return np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1), np.float32)
 
 
 @lru_cache(maxsize=1)
-def gaussian_table() -> Floats:
+def gaussian_table() -> Float32s:
     """(65536, 2) float32: the complex circular Gaussian of intensity 1 as equally likely values.
 
     Intensities are the quantiles of the exponential distribution, phases go round by the golden
@@ -259,7 +258,7 @@ def gaussian_table() -> Floats:
 # --- the device's beams as matrices -----------------------------------------------------------
 
 
-def mixing(sonar: SonarSettings) -> Floats:
+def mixing(sonar: SonarSettings) -> Float32s:
     """The device's beam mixing; see `simnfnd.factory.simulation.sonar.array.beam_mixing`."""
     return _mixing(_receive_beams(sonar))
 
@@ -278,7 +277,7 @@ def _receive_beams(sonar: SonarSettings) -> SonarSettings:
 
 
 @lru_cache(maxsize=8)
-def _mixing(sonar: SonarSettings) -> Floats:
+def _mixing(sonar: SonarSettings) -> Float32s:
     return array.beam_mixing(sonar.beam_centres_rad(), sonar.array)
 
 
@@ -288,8 +287,8 @@ class HalfMixing(NamedTuple):
     into: (n, m), or (n, modes) where `out_of`, (modes, m), follows.
     """
 
-    into: Floats
-    out_of: Floats | None = None
+    into: Float32s
+    out_of: Float32s | None = None
 
     @property
     def is_factored(self) -> bool:
@@ -334,15 +333,15 @@ def _matrices(sonar: SonarSettings, power: bool) -> BeamMixing:
     return BeamMixing(*(products if len(products) == len(halves) else whole))
 
 
-def factors(matrix: Matrix, most: int) -> tuple[Matrix, Matrix] | None:
+def factors(matrix: Float64s, most: int) -> tuple[Float64s, Float64s] | None:
     """(n, r) and (r, m) whose product is the (n, m) matrix to 1e-6 of its largest number.
 
     Gauss's elimination with complete pivoting, ended where nothing is left.  Unlike singular values
     it needs no library whose rounding depends on the processor.  None if r would be above `most`.
     """
     left = matrix.copy()
-    columns: list[Matrix] = []
-    rows: list[Matrix] = []
+    columns: list[Float64s] = []
+    rows: list[Float64s] = []
     least = _LEFT_OUT * np.abs(matrix).max()
     for _ in range(most + 1):
         row, column = divmod(int(np.abs(left).argmax()), matrix.shape[1])
@@ -355,7 +354,7 @@ def factors(matrix: Matrix, most: int) -> tuple[Matrix, Matrix] | None:
     return None
 
 
-def _halves(matrix: Matrix) -> list[Matrix]:
+def _halves(matrix: Float64s) -> list[Float64s]:
     turned = matrix[::-1, ::-1]
     if np.abs(matrix - turned).max() > 1e-6 * matrix.max():
         return [matrix]
@@ -366,11 +365,11 @@ def _halves(matrix: Matrix) -> list[Matrix]:
     return [(upper + lower) / 2, (upper - lower) / 2]
 
 
-def _filled_up(matrix: Matrix) -> Floats:
+def _filled_up(matrix: Float64s) -> Float32s:
     return np.pad(matrix, [(0, -side % 4) for side in matrix.shape]).astype(np.float32)
 
 
-def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool) -> Floats:
+def blurred(planes: Float32s, kernel: Float32s, sonar: SonarSettings, *, power: bool) -> Float32s:
     """Planes (..., range_bins, beams) after pulse compression and beamforming.
 
     kernel: range response.  power: whether the planes are intensities, and not amplitudes.
@@ -396,13 +395,13 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
     return out
 
 
-def _mix_half(part: Floats, half: HalfMixing, kernel: Floats) -> Floats:
+def _mix_half(part: Float32s, half: HalfMixing, kernel: Float32s) -> Float32s:
     """One half of the beams mixed; the pulse is applied here where the mixing has two factors."""
     modes = _times(part, half.into)
     return modes if half.out_of is None else _times(along_range(modes, kernel), half.out_of)
 
 
-def along_range(plane: Floats, kernel: Floats) -> Floats:
+def along_range(plane: Float32s, kernel: Float32s) -> Float32s:
     """Rows of (rows, n) correlated with `kernel`; nothing comes from beyond the ends."""
     if len(kernel) == 1:
         return plane
@@ -417,7 +416,7 @@ def along_range(plane: Floats, kernel: Floats) -> Floats:
     return out
 
 
-def _fold(plane: Floats, pairs: int, width: int) -> list[Floats]:
+def _fold(plane: Float32s, pairs: int, width: int) -> list[Float32s]:
     """Sums (the middle beam as it is) and differences of mirrored beams, filled up with zeros."""
     rows, beams = plane.shape
     sums, differences = (np.zeros((rows + -rows % 4, width), np.float32) for _ in range(2))
@@ -429,7 +428,7 @@ def _fold(plane: Floats, pairs: int, width: int) -> list[Floats]:
     return [sums, differences] if pairs else [sums]
 
 
-def _times(rows: Floats, matrix: Floats) -> Floats:
+def _times(rows: Float32s, matrix: Float32s) -> Float32s:
     from . import kernels  # loads numba
 
     out = np.empty((len(rows), matrix.shape[1]), np.float32)

@@ -6,8 +6,8 @@ import json
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s, Float64s
 from ...common.errors import FrameError
 from ...dataset.schema import Column
 from ..meshes.camera import oriented
@@ -108,7 +108,7 @@ def _shadow_ends_m(lit: LitSurface) -> dict[int, float]:
     return ends_m
 
 
-def _range_of_pixels_m(lit: LitSurface) -> npt.NDArray[np.float32]:
+def _range_of_pixels_m(lit: LitSurface) -> Float32s:
     """(H, W) distance of each pixel from the sonar, inf where nothing is."""
     frame = lit.frame
     across, down = frame.intrinsics.directions(*frame.depth_m.shape)
@@ -122,14 +122,14 @@ def _range_of_pixels_m(lit: LitSurface) -> npt.NDArray[np.float32]:
     return np.asarray(np.where(np.isfinite(z), apart_m, np.inf), np.float32)
 
 
-def _limits(values: npt.NDArray[np.float32]) -> list[float] | None:
+def _limits(values: Float32s) -> list[float] | None:
     """Return the smallest and largest value to 3 decimals, None for no values."""
     if not len(values):
         return None
     return [round(float(limit), 3) for limit in (values.min(), values.max())]
 
 
-def _box_in_sonar_axes(box: npt.NDArray[np.float64], lit: LitSurface) -> dict[str, object]:
+def _box_in_sonar_axes(box: Float64s, lit: LitSurface) -> dict[str, object]:
     """Return centre, size and yaw, in the sonar's axes, of a box in the camera's.
 
     box: (7,) centre, size (metres) and yaw (radians); see `Frame.boxes`.

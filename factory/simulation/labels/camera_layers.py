@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array
 from ...common.errors import FactoryError, FrameError
 from ...dataset.frame_ref import FrameRef
 from ...dataset.schema import CAMERA_LAYERS
@@ -26,11 +26,11 @@ Choose = Callable[[Frames, "FactoryConfig"], Frames]
 class CameraLayers(Protocol):
     """Gives the images of the camera that `dataset.layers` asks for."""
 
-    def layers(self, ref: FrameRef) -> Mapping[str, npt.NDArray[np.generic]]:
+    def layers(self, ref: FrameRef) -> Mapping[str, Array]:
         """The requested of rgb (H, W, 3) uint8 and depth (H, W) float32, m, NaN where unknown."""
 
 
-def camera_images(frame: Frame, names: Collection[str]) -> Mapping[str, npt.NDArray[np.generic]]:
+def camera_images(frame: Frame, names: Collection[str]) -> Mapping[str, Array]:
     """Those of rgb and depth that are among `names`; see `CameraLayers`."""
     depth_m = np.where(frame.valid, frame.depth_m, np.float32(np.nan))
     images = {"rgb": frame.rgb, "depth": depth_m}
@@ -44,7 +44,7 @@ class FrameCamera:
         self._frame = frame
         self._names = names
 
-    def layers(self, ref: FrameRef) -> Mapping[str, npt.NDArray[np.generic]]:
+    def layers(self, ref: FrameRef) -> Mapping[str, Array]:
         """See `CameraLayers`."""
         return camera_images(self._frame, self._names)
 
@@ -62,7 +62,7 @@ class Camera:
         self._chosen = chosen
         self._requested = CAMERA_LAYERS.intersection(config.dataset.layers)
 
-    def layers(self, ref: FrameRef) -> Mapping[str, npt.NDArray[np.generic]]:
+    def layers(self, ref: FrameRef) -> Mapping[str, Array]:
         """The requested of rgb (H, W, 3) uint8 and depth (H, W) float32, m, NaN where unknown.
 
         Raises FrameError when the frame is bad, or of another size than the first frame of the

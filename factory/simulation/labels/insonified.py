@@ -7,8 +7,8 @@ from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Bools
 from ...common.errors import FrameError
 from ...dataset.frame_ref import FrameRef
 from ..sonar import polar
@@ -20,7 +20,7 @@ THIN_SHARE = 0.2
 """Pairs that show less of the sector are counted."""
 
 
-def insonified_share(filled: npt.NDArray[np.bool_], window: Window, sonar: SonarSettings) -> float:
+def insonified_share(filled: Bools, window: Window, sonar: SonarSettings) -> float:
     """Share of the beams that the camera saw and that meet insonified surface, 0 to 1.
 
     filled: (range_bins, beams) bool, bins in which insonified surface lies.
@@ -58,7 +58,7 @@ def thin_pairs(directory: Path, sonar: SonarSettings) -> tuple[int, int]:
     return thin, total
 
 
-def _share_of_image(shadow: npt.NDArray[np.bool_], row: Any, sonar: SonarSettings) -> float:
+def _share_of_image(shadow: Bools, row: Any, sonar: SonarSettings) -> float:
     """The same from the shadow mask of a sample: of the sector seen, what is no shadow echoes."""
     window = Window(
         sonar.projection,

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import numpy.typing as npt
 
+from ...common.array_types import Array, Bools, Float32s, UInt16s
 from ...dataset.schema import Column
 from ..sonar import transfer
 from ..sonar.settings import TransferSettings
@@ -27,9 +28,9 @@ _LEAST_AROUND_PX = 4
 
 
 def visibility_row(
-    mean: npt.NDArray[np.generic],
-    instance: npt.NDArray[np.uint16],
-    inside: npt.NDArray[np.bool_],
+    mean: Array,
+    instance: UInt16s,
+    inside: Bools,
     settings: TransferSettings,
     quantity: transfer.Quantity,
 ) -> dict[str, float | str]:
@@ -60,8 +61,8 @@ def visibility_row(
 
 
 def _contrast_db(
-    level_db: npt.NDArray[np.float32],
-    is_around: npt.NDArray[np.bool_],
+    level_db: Float32s,
+    is_around: Bools,
     pixels: npt.NDArray[np.intp],
 ) -> float:
     """Mean level of flat pixels over the median of what lies around their box; 0 beside nothing."""

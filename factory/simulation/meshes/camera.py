@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ...common.array_types import Bools, Float32s, Float64s, UInt8s, UInt16s
 from ...common.distribution import Distribution
 from ...common.errors import FactoryError
 from ...common.seeds import stream
 from ...common.text_tables import numbered_lines, numbers_in
 from ..frames.frame import BOX_FIELDS
-from .arrays import Floats, Points
 from .triangle_mesh import Mesh, grid_triangles, join, vertex_normals
 
 FOCAL_PER_WIDTH = 1168.0 / 968.0
@@ -47,7 +47,7 @@ class Optics:
     height: int
     across: float = 1.0
 
-    def directions(self, rotation: Points, every: int, border: int = 0) -> Floats:
+    def directions(self, rotation: Float64s, every: int, border: int = 0) -> Float32s:
         """(H, W, 3) ray directions in world axes whose length along the optical axis is 1.
 
         every: only each such pixel of each such row.  border: so many pixels more, right and below.
@@ -92,11 +92,11 @@ def _solid_angle(hfov_deg: float, vfov_deg: float) -> float:
 class Pose:
     """Where a camera is and how it is turned: rotation (3, 3) takes camera to world axes."""
 
-    eye: Points
-    rotation: Points
+    eye: Float64s
+    rotation: Float64s
 
     @property
-    def matrix(self) -> Points:
+    def matrix(self) -> Float64s:
         """(4, 4) world from camera."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation
@@ -125,7 +125,7 @@ class Stance(NamedTuple):
         )
 
 
-def pose(eye: Points, heading_deg: float, pitch_deg: float, roll_deg: float) -> Pose:
+def pose(eye: Float64s, heading_deg: float, pitch_deg: float, roll_deg: float) -> Pose:
     """A camera that looks along a heading (counter-clockwise from +x), pitched down, rolled."""
     heading, pitch, roll = np.deg2rad([heading_deg, pitch_deg, roll_deg])
     level = np.array([np.cos(heading), np.sin(heading), 0.0])
@@ -150,8 +150,8 @@ class Objects:
     def __init__(
         self,
         meshes: Sequence[Mesh],
-        labels: npt.NDArray[np.uint8],
-        numbered: npt.NDArray[np.bool_] | None = None,
+        labels: UInt8s,
+        numbered: Bools | None = None,
     ) -> None:
         """numbered: (N,) which get a number; None: all that have a class."""
         if numbered is None:
@@ -185,8 +185,8 @@ class ZBuffer:
         viewpoint: Pose,
         optics: Optics,
         objects: Objects,
-        ground: Floats | None = None,
-        wanted: npt.NDArray[np.bool_] | None = None,
+        ground: Float32s | None = None,
+        wanted: Bools | None = None,
         reach_m: float = 1e6,
     ) -> None:
         from .kernels import rasterise_mesh
@@ -214,7 +214,7 @@ class ZBuffer:
             solid.vertices, solid.triangles, parts, self._first_object, self.sight, planes
         )
 
-    def _in_sight(self, reach_m: float) -> npt.NDArray[np.bool_]:
+    def _in_sight(self, reach_m: float) -> Bools:
         """(N,) whether the balls around objects touch what the camera sees."""
         viewpoint = self.viewpoint
         radius = self.objects.balls[:, 3]
@@ -229,13 +229,13 @@ class ZBuffer:
         return np.asarray(in_sight)
 
     @property
-    def depth_m(self) -> Floats:
+    def depth_m(self) -> Float32s:
         """(H, W) depth along the optical axis, inf where nothing is."""
         with np.errstate(divide="ignore"):
             return np.asarray(1 / self.inverse)
 
     @property
-    def shown(self) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
+    def shown(self) -> tuple[UInt8s, UInt16s]:
         """(H, W) class and instance of the objects, 0 for ground and nothing."""
         numbers = np.append(np.uint16(0), self.objects.owner + np.uint16(1))
         number = numbers.take(np.maximum(self.which - (self._first_object - 1), 0))
@@ -244,7 +244,7 @@ class ZBuffer:
         )
         return label.take(number), instance.take(number)
 
-    def boxes(self, number: npt.NDArray[np.uint16]) -> Points:
+    def boxes(self, number: UInt16s) -> Float64s:
         """(N, 11) of the instances in a view, whose pixels are `number`; see `Frame.boxes`."""
         rows = []
         objects = self.objects
@@ -258,7 +258,7 @@ class ZBuffer:
             rows.append([instance, int(objects.labels[which]), *box, *self._cover(which, points)])
         return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
 
-    def _cover(self, which: int, points: Points) -> tuple[float, float]:
+    def _cover(self, which: int, points: Float64s) -> tuple[float, float]:
         """Pixels that an object alone would cover, beyond the image too, and those hidden."""
         ahead = points[points[:, 2] > _NEAREST_M]
         if not len(ahead):
@@ -299,7 +299,7 @@ def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
     return x, y, (low + high) / 2, *sorted(extent.tolist(), reverse=True), high - low, float(yaw)
 
 
-def _narrowest(flat: Points, yaws_deg: Points) -> tuple[float, Points, Points]:
+def _narrowest(flat: Float64s, yaws_deg: Float64s) -> tuple[float, Float64s, Float64s]:
     """Yaw, extent along and across it, and centre of the least rectangle around (V, 2) points."""
     cosine = np.cos(np.deg2rad(yaws_deg))
     sine = np.sin(np.deg2rad(yaws_deg))
@@ -348,7 +348,7 @@ def movements(path: Path) -> tuple[dict[str, float], ...]:
     return tuple(dict(zip(names, row, strict=True)) for row in rows)
 
 
-def _about(axis: Points, angle_rad: float) -> Points:
+def _about(axis: Float64s, angle_rad: float) -> Float64s:
     """Rotation matrix (3, 3) about a unit axis, right-handed (Rodrigues)."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -8,12 +8,9 @@ simple polygon has two (Meisters 1975), so cutting off one after another covers 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s, Int64s
 from ...common.errors import FactoryError
-
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 _MOST_CORNERS = 5000
 """Of a concave face; the time to cut it grows with the square of the number."""
@@ -22,7 +19,7 @@ _STRAIGHT = 1e-9
 
 
 def cut_concave_faces(
-    vertices: Floats, polygons: Indices, corners: Indices, places: Indices
+    vertices: Float64s, polygons: Int64s, corners: Int64s, places: Int64s
 ) -> None:
     """Replace the fans of concave faces by triangles inside them, in place.
 
@@ -50,11 +47,11 @@ def cut_concave_faces(
             places[rows] = own_places[ears]
 
 
-def _third_corners(corners: Indices, firsts: Indices, count: int) -> list[Indices]:
+def _third_corners(corners: Int64s, firsts: Int64s, count: int) -> list[Int64s]:
     return [corners[firsts + step, 2:] for step in range(count - 2)]
 
 
-def _flattened(points: Floats) -> tuple[Floats, Floats]:
+def _flattened(points: Float64s) -> tuple[Float64s, Float64s]:
     """Faces (P, N, 3) along their normals, counter-clockwise: (P, N, 2), and twice their areas."""
     following = np.roll(points, -1, axis=1)
     normals = np.cross(points - points[:, :1], following - points[:, :1]).sum(axis=1)
@@ -67,14 +64,14 @@ def _flattened(points: Floats) -> tuple[Floats, Floats]:
     return flat, lengths
 
 
-def _turns(flat: Floats) -> Floats:
+def _turns(flat: Float64s) -> Float64s:
     """(P, N) cross product of the sides that meet at each corner, positive to the left."""
     before = flat - np.roll(flat, 1, axis=1)
     after = np.roll(flat, -1, axis=1) - flat
     return np.asarray(before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0])
 
 
-def _ears(flat: Floats) -> Indices:
+def _ears(flat: Float64s) -> Int64s:
     """(N - 2, 3): corners of the triangles that cover a counter-clockwise face (N, 2)."""
     remaining = list(range(len(flat)))
     triangles = []
@@ -95,7 +92,7 @@ def _ears(flat: Floats) -> Indices:
     return np.array([*triangles, remaining])
 
 
-def _is_ear(flat: Floats, around: list[int], remaining: list[int]) -> bool:
+def _is_ear(flat: Float64s, around: list[int], remaining: list[int]) -> bool:
     a, b, c = flat[around]
     if _cross(a, b, c) <= 0:
         return False
@@ -106,7 +103,7 @@ def _is_ear(flat: Floats, around: list[int], remaining: list[int]) -> bool:
     return not (inside & ~is_own).any()
 
 
-def _cross(a: Floats, b: Floats, c: Floats) -> Floats:
+def _cross(a: Float64s, b: Float64s, c: Float64s) -> Float64s:
     """Twice the area of the triangles a, b, c; positive counter-clockwise."""
     along = b - a
     across = c - a

@@ -8,12 +8,11 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Float64s
 from ...common.errors import FactoryError
 
 Document = dict[str, Any]
-Values = npt.NDArray[np.generic]
 
 _MOST_ELEMENTS = 12_000_000
 """Of one accessor: corners of twice as many faces as a mesh may have."""
@@ -31,7 +30,7 @@ class Buffers:
         self._chunk = chunk
         self._contents: dict[str, bytes] = {}
 
-    def stored(self, number: int) -> Values:
+    def stored(self, number: int) -> Array:
         """(N, width) of an accessor as it is stored.
 
         Raises ValueError or KeyError for an accessor that the buffers do not hold.
@@ -41,14 +40,14 @@ class Buffers:
         if not 0 <= count <= _MOST_ELEMENTS:
             raise ValueError(f"accessor {number} has {count:,} elements")
         width = _WIDTHS[accessor["type"]]
-        values: Values = np.zeros((count, width), _TYPES[accessor["componentType"]])
+        values: Array = np.zeros((count, width), _TYPES[accessor["componentType"]])
         if "bufferView" in accessor:
             values = self._read(accessor, accessor["componentType"], count, width)
         if "sparse" in accessor:
             values = self._with_exceptions(values.copy(), accessor)
         return values
 
-    def numbers(self, number: int) -> npt.NDArray[np.float64]:
+    def numbers(self, number: int) -> Float64s:
         """(N, width) of an accessor; normalised integers as fractions of their largest number."""
         values = self.stored(number)
         is_normalised = self.document["accessors"][number].get("normalized", False)
@@ -65,7 +64,7 @@ class Buffers:
             return bytes(self._view(image["bufferView"]))
         return self._content(image["uri"])
 
-    def _with_exceptions(self, values: Values, accessor: Document) -> Values:
+    def _with_exceptions(self, values: Array, accessor: Document) -> Array:
         """The values with those replaced that a sparse accessor lists."""
         sparse = accessor["sparse"]
         count = int(sparse["count"])
@@ -78,7 +77,7 @@ class Buffers:
         values[places.astype(np.int64)] = self._read(replacing, kind, count, values.shape[1])
         return values
 
-    def _read(self, place: Document, component_type: int, count: int, width: int) -> Values:
+    def _read(self, place: Document, component_type: int, count: int, width: int) -> Array:
         """(count, width) elements at a place in a buffer view."""
         view = self.document["bufferViews"][place["bufferView"]]
         dtype = np.dtype(_TYPES[component_type])

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Float32s, Int64s
 from ...common.errors import FactoryError
 from ...common.small_files import parse_json
 from .gltf_buffers import Buffers, Document
@@ -23,9 +23,7 @@ from .obj_files import RawPart
 from .painted import linear_albedo, paint_surface, read_image, unit_colours
 from .triangle_mesh import GREY
 
-Numbers = npt.NDArray[Any]
-"""Of 32 or 64 bits."""
-Matrix = Numbers
+Matrix = Array
 Dtype = type[np.float32] | type[np.float64]
 
 # Each takes some hundred bytes once it is parsed; base64 of buffers has none of these.
@@ -65,11 +63,11 @@ class Shape(NamedTuple):
     places: (V, 2) in its texture, or None.  albedo: (H, W, 3) of the texture, or None.
     """
 
-    vertices: Numbers
-    colours: npt.NDArray[np.float32]
-    triangles: npt.NDArray[np.int64]
-    places: Numbers | None
-    albedo: npt.NDArray[np.float32] | None
+    vertices: Array
+    colours: Float32s
+    triangles: Int64s
+    places: Array | None
+    albedo: Float32s | None
 
 
 def read_document(path: Path) -> tuple[Document, bytes]:
@@ -142,7 +140,7 @@ class _SceneReader:
         if max(places, default=0.0) > _FAR:
             self._dtype = np.float64
             self._in_world = _world_matrices(self._nodes, roots, self._dtype)
-        self._albedos: dict[int, npt.NDArray[np.float32]] = {}
+        self._albedos: dict[int, Float32s] = {}
         self._shapes: dict[tuple[int, tuple[float, ...], int | None], list[Shape]] = {}
 
     def parts(self) -> Iterator[RawPart]:
@@ -239,7 +237,7 @@ class _SceneReader:
             return _Surface()
         return _surface(material["pbrMetallicRoughness"], "baseColorFactor", "baseColorTexture")
 
-    def _albedo(self, texture_number: int | None) -> npt.NDArray[np.float32]:
+    def _albedo(self, texture_number: int | None) -> Float32s:
         assert texture_number is not None
         if texture_number not in self._albedos:
             texture = self._document["textures"][texture_number]
@@ -273,7 +271,7 @@ class _SceneReader:
             instances.append(_product(world, _matrix(own, self._dtype)))
         return instances
 
-    def _joint_matrices(self, skin_number: int) -> Numbers:
+    def _joint_matrices(self, skin_number: int) -> Array:
         """(J, 4, 4): where each joint of a skin puts what it carries."""
         skin = self._document["skins"][skin_number]
         joints = np.stack([self._in_world.get(joint, np.eye(4)) for joint in skin["joints"]])
@@ -283,7 +281,7 @@ class _SceneReader:
         # They are column-major.
         return np.asarray(joints @ stored[: len(joints)].transpose(0, 2, 1))
 
-    def _posed(self, vertices: Numbers, attributes: Document, joints: Numbers) -> Numbers:
+    def _posed(self, vertices: Array, attributes: Document, joints: Array) -> Array:
         """Vertices (V, 3) where their joints (J, 4, 4) put them, in the world."""
         moved = np.zeros_like(vertices)
         for number in range(2):
@@ -310,7 +308,7 @@ class _Surface(NamedTuple):
     rotation_rad: float = 0.0
     scale: tuple[float, float] = (1.0, 1.0)
 
-    def placed(self, places: Numbers) -> Numbers:
+    def placed(self, places: Array) -> Array:
         """Texture coordinates (N, 2) as KHR_texture_transform changes them."""
         u, v = (places * self.scale).T
         cosine = np.cos(self.rotation_rad)
@@ -350,7 +348,7 @@ def _part(name: str, shapes: list[Shape], matrix: Matrix) -> RawPart:
     )
 
 
-def _piece(shape: Shape, matrix: Matrix) -> tuple[Numbers, npt.NDArray[np.float32], Any]:
+def _piece(shape: Shape, matrix: Matrix) -> tuple[Array, Float32s, Any]:
     vertices = _moved(shape.vertices, matrix)
     triangles = shape.triangles
     if np.linalg.det(matrix[:3, :3]) < 0:  # a mirror image would be inside out
@@ -363,7 +361,7 @@ def _piece(shape: Shape, matrix: Matrix) -> tuple[Numbers, npt.NDArray[np.float3
     return painted.vertices, painted.colours, painted.triangles
 
 
-def _turned_twice(places: Numbers) -> Numbers:
+def _turned_twice(places: Array) -> Array:
     """Texture coordinates rounded as by readers that count v from the bottom and back.
 
     Earlier versions read glTF through one of them, and datasets keep their bytes.
@@ -372,7 +370,7 @@ def _turned_twice(places: Numbers) -> Numbers:
     return np.stack([places[:, 0], 1 - from_bottom.astype(np.float64)], axis=-1)
 
 
-def _triangles(corners: npt.NDArray[np.int64], mode: int) -> npt.NDArray[np.int64]:
+def _triangles(corners: Int64s, mode: int) -> Int64s:
     """(T, 3) of the corners of triangles, a strip or a fan."""
     if mode == _TRIANGLES:
         return np.asarray(corners[: len(corners) // 3 * 3].reshape(-1, 3))
@@ -384,9 +382,7 @@ def _triangles(corners: npt.NDArray[np.int64], mode: int) -> npt.NDArray[np.int6
     return np.asarray(triangles)
 
 
-def _blend(
-    vertices: Numbers, joints: Numbers, which: npt.NDArray[np.int64], weights: Numbers
-) -> Numbers:
+def _blend(vertices: Array, joints: Array, which: Int64s, weights: Array) -> Array:
     """(V, 3): the weighted sum of where up to four joints (J, 4, 4) put each vertex."""
     homogeneous = np.append(vertices, np.ones((len(vertices), 1)), axis=1)
     moved = np.zeros_like(vertices)
@@ -435,7 +431,7 @@ def _matrix(node: Document, dtype: Dtype) -> Matrix:
     """(4, 4) of a node: column-major `matrix`, or translation, rotation (x, y, z, w) and scale."""
     if "matrix" in node:
         return np.array(node["matrix"], dtype).reshape(4, 4).T
-    quaternion: Numbers = np.array(node.get("rotation", (0, 0, 0, 1)), dtype)
+    quaternion: Array = np.array(node.get("rotation", (0, 0, 0, 1)), dtype)
     length = np.linalg.norm(quaternion)
     if abs(length - 1) > 1e-3 and length > 0:  # integers of few bits
         quaternion = quaternion / length
@@ -457,7 +453,7 @@ def _product(left: Matrix, right: Matrix) -> Matrix:
     return np.asarray(terms[0] + terms[1] + terms[2] + terms[3])
 
 
-def _moved(points: Numbers, matrix: Matrix) -> Numbers:
+def _moved(points: Array, matrix: Matrix) -> Array:
     """Points (V, 3) moved by (4, 4), in its precision."""
     x, y, z = points.astype(matrix.dtype).T
     columns = [x * row[0] + y * row[1] + z * row[2] + row[3] for row in matrix[:3]]

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s
 from ...common.errors import FactoryError
 from ...common.small_files import one_line
 from .blend_files import export_blend, linked_by_blend
@@ -114,7 +114,7 @@ def _check(parts: list[RawPart]) -> None:
             raise FactoryError("damaged: its faces name vertices that are not there")
 
 
-def _far_origin(parts: list[RawPart]) -> tuple[npt.NDArray[np.float64], float]:
+def _far_origin(parts: list[RawPart]) -> tuple[Float64s, float]:
     """What to subtract so that 32 bits hold the shape, and the step of a file of 32 bits there.
 
     (3,) whole units, 0 along axes where the mesh is near; georeferenced meshes are far.
@@ -189,7 +189,7 @@ def _read_single(path: Path, folder: Path) -> RawPart:
     return RawPart(path.stem, vertices, shades.copy(), triangles)
 
 
-def _in_bytes(stored: npt.NDArray[np.float64], type_name: str | None) -> npt.NDArray[np.float64]:
+def _in_bytes(stored: Float64s, type_name: str | None) -> Float64s:
     """Colours in 0 to 255, as the type of a .ply tells what full scale is."""
     if type_name in (None, "uchar", "uint8"):
         return stored

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s
 from ...common.errors import FactoryError
 from ...common.isolated import IsolatedProcess
 from ...common.small_files import one_line
@@ -53,7 +53,7 @@ class Model(NamedTuple):
     """
 
     parts: tuple[MeshPart, ...]
-    origin_m: npt.NDArray[np.float64]
+    origin_m: Float64s
     notes: tuple[str, ...]
 
 
@@ -169,7 +169,7 @@ def stands_like_a_wall(parts: tuple[MeshPart, ...]) -> bool:
 
 def _turn_up(
     path: Path, key: str, parts: tuple[MeshPart, ...], up: Up | AsStated
-) -> npt.NDArray[np.float64] | None:
+) -> Float64s | None:
     """(3, 3) that turns what was read so that z points up; None where it does."""
     stated = _STATED_UP.get(path.suffix.lower())
     if stated is not None:
@@ -192,7 +192,7 @@ class _Stored(NamedTuple):
     """Parts in units of the file; origin, step and remarks as of `mesh_loading.load`."""
 
     parts: tuple[MeshPart, ...]
-    origin: npt.NDArray[np.float64]
+    origin: Float64s
     step: float
     remarks: tuple[str, ...]
 

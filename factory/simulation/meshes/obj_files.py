@@ -13,15 +13,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s, Float64s, Int32s, Int64s
 from ...common.errors import FactoryError
 from .arrays import Colour
 from .concave_faces import cut_concave_faces
 from .painted import linear_albedo, paint_surface, read_image, unit_colours
-
-Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 # Of a material that says nothing of its colour.
 _DEFAULT_COLOUR: Colour = (0.6, 0.6, 0.6)
@@ -60,9 +57,9 @@ class RawPart(NamedTuple):
     """A part as its file has it: vertices (V, 3) float64, colours (V, 3), triangles (T, 3)."""
 
     name: str
-    vertices: Floats
-    colours: npt.NDArray[np.float32]
-    triangles: npt.NDArray[np.int32]
+    vertices: Float64s
+    colours: Float32s
+    triangles: Int32s
 
 
 def linked_by_obj(path: Path) -> tuple[list[Path], list[Path]]:
@@ -329,11 +326,11 @@ def _part_names(path: Path, groups: list[tuple[str, str]]) -> list[str]:
 
 
 def _pieces(
-    vertices: Floats,
-    colours: npt.NDArray[np.float32] | None,
-    uv: Floats,
-    corners: Indices,
-    places: Indices,
+    vertices: Float64s,
+    colours: Float32s | None,
+    uv: Float64s,
+    corners: Int64s,
+    places: Int64s,
     material: Material,
 ) -> list[RawPart]:
     """The triangles of one material, painted where it has a texture and they have coordinates."""

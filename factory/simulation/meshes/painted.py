@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import io
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Float32s, Float64s, Int32s, UInt8s
 from ...common.errors import FactoryError
 
 # Triangles of a textured part.
 _LEAST_TRIANGLES = 6000
 
 
-def linear_albedo(srgb: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+def linear_albedo(srgb: Array) -> Float32s:
     """Albedo of sRGB values 0 to 255, by a gamma of 2.2."""
     return np.asarray((np.asarray(srgb, np.float32) / 255) ** 2.2, np.float32)
 
 
-def read_image(content: bytes) -> npt.NDArray[np.uint8]:
+def read_image(content: bytes) -> UInt8s:
     """(H, W, 3) of an image file.  Raises OSError or ValueError for what is none."""
     from PIL import Image
 
@@ -36,7 +36,7 @@ _LARGEST_BYTE = 255.0
 _LARGEST_SHORT = 65535.0
 
 
-def unit_colours(stored: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+def unit_colours(stored: Array) -> Float64s:
     """Colours as fractions of full scale, in 0 to 1.
 
     stored: integers of full scale, or floating-point numbers, which are fractions, or 0 to 255, or
@@ -61,16 +61,16 @@ def unit_colours(stored: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
 class PaintedSurface(NamedTuple):
     """Triangles with the colours of a texture at their vertices: (V, 3), (V, 3) and (T, 3)."""
 
-    vertices: npt.NDArray[np.float64]
-    colours: npt.NDArray[np.float32]
-    triangles: npt.NDArray[np.int32]
+    vertices: Float64s
+    colours: Float32s
+    triangles: Int32s
 
 
 def paint_surface(
-    corners: npt.NDArray[Any],
-    places: npt.NDArray[Any],
-    albedo: npt.NDArray[np.float32],
-    tints: npt.NDArray[np.float32] | None = None,
+    corners: Array,
+    places: Array,
+    albedo: Float32s,
+    tints: Float32s | None = None,
 ) -> PaintedSurface:
     """Cut a textured surface into small triangles and give their vertices the texture's colours.
 
@@ -100,7 +100,7 @@ def paint_surface(
     return PaintedSurface(vertices, colours, triangles)
 
 
-def _quartered(triangles: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def _quartered(triangles: Float32s) -> Float32s:
     """(4 T, 3, N): each of the (T, 3, N) triangles cut at the middles of its sides."""
     a = triangles[:, 0]
     b = triangles[:, 1]

@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from .arrays import Colour, Draws, Floats, Points
+from ...common.array_types import Float32s, Float64s, Int32s
+from .arrays import Colour, Draws
 from .waves import Waves
 
-Indices = npt.NDArray[np.int32]
 GREY: Colour = (0.5, 0.5, 0.5)
 
 
@@ -27,9 +27,9 @@ class Mesh:
     triangles: (T, 3) int32.
     """
 
-    vertices: Floats
-    colours: Floats
-    triangles: Indices
+    vertices: Float32s
+    colours: Float32s
+    triangles: Int32s
 
     def moved(
         self, offset: ArrayLike = (0.0, 0.0, 0.0), scale: float | Sequence[float] = 1.0
@@ -58,7 +58,7 @@ class Mesh:
         return self.moved((0, 0, -float(self.vertices[:, 2].min())))
 
 
-def rotation(axes: str, *angles_rad: float) -> Points:
+def rotation(axes: str, *angles_rad: float) -> Float64s:
     """(3, 3) product of right-handed turns about axes such as "x" or "zyz", the last one first."""
     matrices = np.tile(np.eye(3), (len(axes), 1, 1))
     for matrix, axis, angle_rad in zip(matrices, axes, angles_rad, strict=True):
@@ -71,7 +71,7 @@ def rotation(axes: str, *angles_rad: float) -> Points:
     return functools.reduce(np.matmul, matrices)
 
 
-def circle(points: int) -> Points:
+def circle(points: int) -> Float64s:
     """(points, 3) unit circle about z."""
     angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
@@ -95,7 +95,7 @@ def join(parts: Iterable[Mesh]) -> Mesh:
     )
 
 
-def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
+def vertex_normals(vertices: Float32s, triangles: Int32s) -> Float32s:
     """(V, 3) unit normals, the area-weighted mean of the triangles around each vertex."""
     a, b, c = vertices[triangles].transpose(1, 0, 2)
     areas = np.repeat(np.cross(b - a, c - a), 3, axis=0).T
@@ -107,7 +107,7 @@ def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
 
 
 @functools.cache
-def grid_triangles(rows: int, columns: int, closed: bool = False) -> Indices:
+def grid_triangles(rows: int, columns: int, closed: bool = False) -> Int32s:
     """Triangles (T, 3) of a rows x columns vertex grid; `closed` joins its last and first columns.
 
     Cell (i, j) is triangle 2 * (i * cells + j) and the next: (a, b, c) and (a, c, d) of its corners
@@ -120,7 +120,7 @@ def grid_triangles(rows: int, columns: int, closed: bool = False) -> Indices:
     b = number[1:, :-1]
     c = number[1:, 1:]
     d = number[:-1, 1:]
-    triangles: Indices = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    triangles: Int32s = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
     triangles.setflags(write=False)
     return triangles
 
@@ -146,7 +146,7 @@ def lathe(
 
 
 def tube(
-    path: Points, radius: ArrayLike, segments: int, closed: bool = False, colour: ArrayLike = GREY
+    path: Float64s, radius: ArrayLike, segments: int, closed: bool = False, colour: ArrayLike = GREY
 ) -> Mesh:
     """A round bar along an (N, 3) path; radius and colour may change along it; ends are capped."""
     points = np.asarray(path, dtype=np.float64)
@@ -171,7 +171,7 @@ def tube(
     return mesh(vertices, triangles[:, ::-1], np.repeat(colours, segments, axis=0))
 
 
-def _sides(tangents: Points) -> Points:
+def _sides(tangents: Float64s) -> Float64s:
     """(N, 3) unit vectors across unit tangents that do not spin along the path."""
     sides = np.empty_like(tangents)
     x, y, z = np.eye(3)[np.argmin(np.abs(tangents[0]))].tolist()
@@ -193,7 +193,7 @@ def bars(ends: Iterable[tuple[ArrayLike, ArrayLike]], radius: float, segments: i
     return join(tube(np.array(pair), radius, segments) for pair in ends)
 
 
-def sheet(points: Points, colour: ArrayLike = GREY, turned: bool = False) -> Mesh:
+def sheet(points: Float64s, colour: ArrayLike = GREY, turned: bool = False) -> Mesh:
     """A (R, C, 3) grid of points as a sheet.  turned: it looks the other way."""
     triangles = grid_triangles(*points.shape[:2])
     return mesh(points.reshape(-1, 3), triangles[:, ::-1] if turned else triangles, colour)

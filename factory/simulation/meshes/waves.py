@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import Draws, Floats
+from ...common.array_types import Float32s
+from .arrays import Draws
 
 
 class Waves:
@@ -31,11 +32,11 @@ class Waves:
         parts = vectors, rng.uniform(0, 2 * np.pi, count), amplitudes
         self._waves = [np.ascontiguousarray(part, dtype=np.float32) for part in parts]
 
-    def __call__(self, *coordinates_m: npt.ArrayLike) -> Floats:
+    def __call__(self, *coordinates_m: npt.ArrayLike) -> Float32s:
         """The field at D coordinate arrays (metres, one shape), float32 of that shape."""
         # Reading a configuration imports this module; only making frames needs numba.
         from .kernels import sum_waves
 
         axes = np.array(coordinates_m, dtype=np.float32)
-        total: Floats = sum_waves(axes.reshape(len(axes), -1), *self._waves)
+        total: Float32s = sum_waves(axes.reshape(len(axes), -1), *self._waves)
         return total.reshape(axes.shape[1:])

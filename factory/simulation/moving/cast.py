@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from ...common import seeds
+from ...common.array_types import Float64s, Floats
 from ...common.errors import FactoryError
 from ...dataset.frame_ref import FrameRef
 from ...dataset.labels import class_names
@@ -21,8 +21,6 @@ from ..scenes.moving import Moving, MovingObject, waypoints
 from ..scenes.seabed import OwnObject, RecordingSettings
 from .course import Course, Origin, RecordedPath, Swim
 from .fish import SwimmingWave, fish_mesh, love_target_strength_db
-
-Points = npt.NDArray[np.float64]
 
 # Of a school: how members differ in length and heading, and how they drift about their places.
 _LENGTH_SPREAD = 0.12
@@ -59,7 +57,7 @@ class Actor:
             return love_target_strength_db(self.length_m, frequency_khz)
         return float(self.strength)
 
-    def bent(self, rest_m: npt.NDArray[np.floating], time_s: float) -> Points:
+    def bent(self, rest_m: Floats, time_s: float) -> Float64s:
         """(N, 3) places in its own axes of (N, 3) places at rest."""
         if self.wave is None:
             return np.asarray(rest_m, np.float64)

@@ -13,17 +13,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Bools, Float64s, Floats, Int32s, Int64s
 from ...common.seeds import spawn_key
 from ..frames.frame import Frame, MovingPixels
 from ..meshes.triangle_mesh import vertex_normals
 from ..render.base import Mount, Rendered
 from .cast import Actor
 from .course import Placement
-
-Points = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 FIRST_INSTANCE = 10_000
 """Instance numbers of moving objects are this and the number of their track."""
@@ -40,7 +37,7 @@ class PosedBody:
 
     actor: Actor
     placement: Placement
-    camera_from_world: Points
+    camera_from_world: Float64s
     time_s: float
 
     @property
@@ -48,14 +45,14 @@ class PosedBody:
         """See `Body`."""
         return spawn_key("moving object", self.actor.number)[0]
 
-    def camera_m(self, own_m: npt.NDArray[np.floating]) -> Points:
+    def camera_m(self, own_m: Floats) -> Float64s:
         """See `Body`."""
         bent = self.actor.bent(own_m, self.time_s)
         world = _turned(self.placement.world_from_own, bent) + self.placement.position_m
         return _turned(self.camera_from_world[:3, :3], world) + self.camera_from_world[:3, 3]
 
 
-def _turned(matrix: Points, points: Points) -> Points:
+def _turned(matrix: Float64s, points: Float64s) -> Float64s:
     """(N, 3) points times a (3, 3) matrix, summed in one order on every machine."""
     x, y, z = points.T
     rows = [matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z for k in range(3)]
@@ -82,11 +79,11 @@ class _Drawn(NamedTuple):
     inside: whether a pixel lies in the image; pixel: its flat number there.
     """
 
-    pixel: Integers
-    inside: npt.NDArray[np.bool_]
-    depth_m: Points
-    own_m: Points
-    radiance: Points
+    pixel: Int64s
+    inside: Bools
+    depth_m: Float64s
+    own_m: Float64s
+    radiance: Float64s
 
 
 def bodies_at(cast: Sequence[Actor], frame: Frame, time_s: float) -> list[PosedBody]:
@@ -164,7 +161,7 @@ def compose(
 
 
 def _moving_pixels(
-    owner: npt.NDArray[np.int32], drawn_bodies: Mapping[int, _Drawn], bodies: Sequence[PosedBody]
+    owner: Int32s, drawn_bodies: Mapping[int, _Drawn], bodies: Sequence[PosedBody]
 ) -> MovingPixels:
     """The pixels that show bodies, and how much of each body they hide.
 
@@ -239,7 +236,7 @@ def _draw(
     return _Drawn(row * width + column, inside, depth_m, own_m, radiance)
 
 
-def _shares(vertices_m: Points, corner: npt.NDArray[np.int32], place_m: Points) -> Points:
+def _shares(vertices_m: Float64s, corner: Int32s, place_m: Float64s) -> Float64s:
     """(M, 3) weights of the corners of each pixel's triangle: the place is their weighted sum."""
     a, b, c = (vertices_m[corner[:, k]] for k in range(3))
     opposite = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
@@ -248,14 +245,12 @@ def _shares(vertices_m: Points, corner: npt.NDArray[np.int32], place_m: Points) 
     return np.asarray(volumes / np.where(total == 0, 1, total))
 
 
-def _mixed(
-    values: npt.NDArray[np.floating], corner: npt.NDArray[np.int32], shares: Points
-) -> Points:
+def _mixed(values: Floats, corner: Int32s, shares: Float64s) -> Float64s:
     """(M, K) weighted means of the values of the corners."""
     return np.asarray((values[corner].astype(np.float64) * shares[:, :, None]).sum(axis=1))
 
 
-def _radiance(place_m: Points, normal: Points, albedo: Points, mount: Mount) -> Points:
+def _radiance(place_m: Float64s, normal: Float64s, albedo: Float64s, mount: Mount) -> Float64s:
     """(M,) albedo * |cos(incidence)| / range^2, as `Rendered` has it."""
     toward = mount.position_camera_m() - place_m
     square_m2 = (toward**2).sum(axis=1)
@@ -263,16 +258,16 @@ def _radiance(place_m: Points, normal: Points, albedo: Points, mount: Mount) -> 
     return np.asarray(albedo * cosine / np.maximum(square_m2, 1e-6))
 
 
-def _cosine(normal: Points, toward: Points) -> Points:
+def _cosine(normal: Float64s, toward: Float64s) -> Float64s:
     lengths = np.sqrt((normal**2).sum(axis=1) * (toward**2).sum(axis=1))
     return np.asarray((normal * toward).sum(axis=1) / np.maximum(lengths, 1e-12))
 
 
 def _cross_section(
-    place_m: Points,
-    normal: Points,
-    radiance: Points,
-    ray: Points,
+    place_m: Float64s,
+    normal: Float64s,
+    radiance: Float64s,
+    ray: Float64s,
     frame: Frame,
     mount: Mount,
     echo: Echo,

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s
 from ..frames.frame import Surroundings
 from ..meshes.triangle_mesh import rotation
 from ..scenes.moving import Waypoints
-
-Points = npt.NDArray[np.float64]
 
 _STRAIGHT_RAD_S = 1e-6
 _CLEAR_M = 0.02
@@ -22,8 +20,8 @@ _STEP_S = 0.01
 class Placement(NamedTuple):
     """position_m: (3,) in world axes.  world_from_own: (3, 3), own axes x ahead, y left, z up."""
 
-    position_m: Points
-    world_from_own: Points
+    position_m: Float64s
+    world_from_own: Float64s
 
 
 class Origin:
@@ -37,9 +35,9 @@ class Origin:
         self.rotation = rotation("z", self.heading_rad)
         self._surroundings = surroundings
 
-    def world_m(self, x: float, y: float) -> Points:
+    def world_m(self, x: float, y: float) -> Float64s:
         """(2,) a level place in world axes."""
-        turned: Points = (self.rotation[:2, :2] * (x, y)).sum(axis=1)
+        turned: Float64s = (self.rotation[:2, :2] * (x, y)).sum(axis=1)
         return turned + self.position_m[:2]
 
     def ground_m(self, x: float, y: float) -> float:
@@ -152,7 +150,7 @@ class RecordedPath:
         return Placement(place_in_world_m, world_from_object)
 
 
-def velocity_m_s(course: Course, time_s: float) -> Points:
+def velocity_m_s(course: Course, time_s: float) -> Float64s:
     """(3,) over ground, in world axes; NaN where the object is not there just before or after."""
     before = course.at(time_s - _STEP_S)
     after = course.at(time_s + _STEP_S)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s, Floats
 from ..meshes.triangle_mesh import Mesh, grid_triangles, join, mesh
-
-Points = npt.NDArray[np.float64]
 
 _STATIONS = 28
 _AROUND = 14
@@ -68,7 +66,7 @@ class SwimmingWave:
     beat_hz: float
     phase_rad: float
 
-    def bent(self, rest_m: npt.NDArray[np.floating], time_s: float) -> Points:
+    def bent(self, rest_m: Floats, time_s: float) -> Float64s:
         """(N, 3) places of (N, 3) points of the fish at rest."""
         points = np.array(rest_m, np.float64)
         behind = 0.5 - points[:, 0] / self.length_m

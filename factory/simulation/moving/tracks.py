@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Int32s, Int64s
 from ...common.errors import FrameError
 from ...dataset.schema import Column
 from ..frames.frame import MovingPixels
@@ -80,9 +80,9 @@ class _Heard(NamedTuple):
     bins: flat polar bin.
     """
 
-    body: npt.NDArray[np.int32]
+    body: Int32s
     echoes: polar.Echoes
-    bins: npt.NDArray[np.int32]
+    bins: Int32s
 
 
 def _heard(lit: LitSurface, moving: MovingPixels) -> _Heard:
@@ -131,7 +131,7 @@ def _motion(body: PosedBody, lit: LitSurface) -> dict[str, Any]:
     }
 
 
-def _echo(lit: LitSurface, heard: _Heard, own: npt.NDArray[np.int64]) -> dict[str, Any]:
+def _echo(lit: LitSurface, heard: _Heard, own: Int64s) -> dict[str, Any]:
     """Range and bearing of the echo, weighted by its strength, and the box around it."""
     echoes = heard.echoes
     sonar = lit.sonar

@@ -7,11 +7,12 @@ from typing import Annotated
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Decibels, Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping, mixing
+from ..imaging.signal import Ping, mixing
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -28,8 +29,8 @@ class CrosstalkSettings(EffectSettings):
 
 
 def crosstalk(
-    field: Floats, ping: Ping, rng: Rng, *, level_db: float, spacing_beams: float
-) -> Floats:
+    field: Float32s, ping: Ping, rng: Rng, *, level_db: float, spacing_beams: float
+) -> Float32s:
     """Leak each channel into the channels read out next to it, left and right."""
     step = max(round(spacing_beams), 1)
     if step >= field.shape[-1]:
@@ -75,7 +76,7 @@ def _correlate_beams(ping: Ping, step: int) -> float:
     return float(weights @ neighbour_weights / norm)
 
 
-def _add_leaks(intensity: Floats, leak: np.float32, step: int, correlation: float) -> None:
+def _add_leaks(intensity: Float32s, leak: np.float32, step: int, correlation: float) -> None:
     """Add what the beams `step` to the left and right leak into each beam, in place.
 
     intensity: (range_bins, beams) float32.  leak: factor on amplitudes.

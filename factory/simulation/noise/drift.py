@@ -7,11 +7,12 @@ from typing import Annotated
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Decibels, Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping, Signal, gaussian_table
+from ..imaging.signal import Ping, Signal, gaussian_table
 from .volume import expect_volume, haze_intensity
 
 _GOLDEN = 0x9E3779B9
@@ -61,7 +62,7 @@ def drifting_volume(
     return signal
 
 
-def _white(ping: Ping, key: int) -> Floats:
+def _white(ping: Ping, key: int) -> Float32s:
     """(2, range_bins, beams) complex circular Gaussian noise of intensity 1."""
     from ..imaging import kernels  # loads numba
 

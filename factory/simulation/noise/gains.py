@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s, Float64s
 from ...common.distribution import Count, Decibels, DecibelsPerMetre, NonNegativeDecibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, Scope, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping
+from ..imaging.signal import Ping
 
-GainsDb = npt.NDArray[np.float64]
+GainsDb = Float64s
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -84,7 +84,7 @@ def _of_gain(
 ) -> Effect:
     """The effect of a gain in dB, `(ping, rng, **parameters)`, on fields and on expectations."""
 
-    def apply(field: Floats, ping: Ping, rng: Rng, **parameters: float) -> Floats:
+    def apply(field: Float32s, ping: Ping, rng: Rng, **parameters: float) -> Float32s:
         field *= (10 ** (gain_db(ping, rng, **parameters) / 20)).astype(np.float32)
         return field
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s, Float64s, Int32s, UInt16s, UInt32s
 from ...common.distribution import CellSize, Looks
 from ...common.errors import FrameError
 from ...common.settings import STRICT
@@ -15,13 +15,9 @@ from ..imaging.cells import places_in_cells
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.moving import static_index
 from ..imaging.scatterers import camera_rays, polar_bins
-from ..imaging.signal import Floats, Ping, PointEchoes, Signal, scattered
+from ..imaging.signal import Ping, PointEchoes, Signal, scattered
 from ..sonar import array
 from .speckle import expect_speckle
-
-Words = npt.NDArray[np.uint32]
-Doubles = npt.NDArray[np.float64]
-Phases = npt.NDArray[np.uint16]
 
 _MOST_POINTS = 1 << 25
 # Fraction of the farthest range from which on a beam is at least a cell wide.
@@ -48,9 +44,9 @@ class CellPoints(NamedTuple):
     sonar_m: (3, N) float64 places in sonar axes (x forward, y left, z up), metres.
     """
 
-    cells: Words
-    powers: Floats
-    sonar_m: Doubles
+    cells: UInt32s
+    powers: Float32s
+    sonar_m: Float64s
 
 
 def path_speckle(
@@ -83,7 +79,7 @@ def path_speckle(
     return scattered(ping, rng, looks, echoes)
 
 
-def _two_way_phases(range_m: Doubles, ping: Ping) -> Phases:
+def _two_way_phases(range_m: Float64s, ping: Ping) -> UInt16s:
     """Return the phase of the path to each range and back, (N,) uint16 65536ths of a turn."""
     wavelengths_per_m = 2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s()
     turns = range_m * wavelengths_per_m
@@ -165,7 +161,7 @@ def _place_static_points(ping: Ping, cell_m: float) -> CellPoints:
     return CellPoints(cells, all_powers[has_echo], np.stack(sonar_m))
 
 
-def _cell_table(slots: int) -> tuple[Words, Floats, npt.NDArray[np.int32]]:
+def _cell_table(slots: int) -> tuple[UInt32s, Float32s, Int32s]:
     """Return an empty hash table as `kernels.gather` fills it: names, powers, cell corners."""
     names = np.zeros(slots, np.uint32)
     powers = np.zeros(slots, np.float32)

@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Decibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping, add_white_noise, beamform, white_noise
+from ..imaging.signal import Ping, add_white_noise, beamform, white_noise
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -28,7 +29,7 @@ class ReceiverSettings(EffectSettings):
     grain: Literal["sample", "beam"] = parameter("sample")
 
 
-def receiver(field: Floats, ping: Ping, rng: Rng, *, level_db: float, grain: str) -> Floats:
+def receiver(field: Float32s, ping: Ping, rng: Rng, *, level_db: float, grain: str) -> Float32s:
     """The sea's thermal noise (Mellen 1952) and what the electronics add.
 
     Complex Gaussian, so Rayleigh in amplitude, and equally strong at all ranges before time-varying

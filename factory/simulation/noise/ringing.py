@@ -8,11 +8,12 @@ from typing import Annotated
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Decibels, Distribution, NonNegativeDecibels, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping
+from ..imaging.signal import Ping
 
 # What is weaker against full scale is not computed, dB.
 _FAINTEST_DB = -90
@@ -33,8 +34,8 @@ class RingDownSettings(EffectSettings):
 
 
 def ring_down(
-    field: Floats, ping: Ping, rng: Rng, *, level_db: float, decay_db_per_m: float
-) -> Floats:
+    field: Float32s, ping: Ping, rng: Rng, *, level_db: float, decay_db_per_m: float
+) -> Float32s:
     """Noise that is alike in all beams but for its phase; none in a window that begins beyond."""
     relative_db = level_db - decay_db_per_m * ping.range_m
     rows = int(np.count_nonzero(relative_db > _FAINTEST_DB))
@@ -73,7 +74,7 @@ class CombLinesSettings(EffectSettings):
     uneven_db: Annotated[Distribution, within(0, 60, "dB"), as_written] = parameter(3, "dB")
 
 
-def comb_lines(field: Floats, ping: Ping, rng: Rng, **parameters: float) -> Floats:
+def comb_lines(field: Float32s, ping: Ping, rng: Rng, **parameters: float) -> Float32s:
     """Lines, each one range bin thick, at distances that count from the sonar."""
     for row, line, phase in _lines(ping, rng, **parameters):
         field[:, 0, row] += line * np.float32(np.cos(phase))
@@ -89,7 +90,7 @@ def expect_comb_lines(state: Expected, ping: Ping, rng: Rng, **parameters: float
 
 def _lines(
     ping: Ping, rng: Rng, *, level_db: float, spacing_m: float, decay_db: float, uneven_db: float
-) -> Iterator[tuple[int, Floats, float]]:
+) -> Iterator[tuple[int, Float32s, float]]:
     """The row, the (beams,) amplitudes and the phase of each line in the window."""
     lines = min(int((level_db - _FAINTEST_DB) / max(decay_db, 0.1)) + 1, 200)
     numbers = np.arange(1, max(lines, 0) + 1)

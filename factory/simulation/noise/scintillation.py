@@ -7,11 +7,12 @@ from typing import Annotated
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping
+from ..imaging.signal import Ping
 
 _NEPERS_PER_DB = np.log(10) / 10  # of intensity
 
@@ -26,7 +27,7 @@ class ScintillationSettings(EffectSettings):
     sigma_db: Annotated[Distribution, within(0, 40, "dB"), as_written] = parameter(3, "dB")
 
 
-def scintillation(field: Floats, ping: Ping, rng: Rng, *, sigma_db: float) -> Floats:
+def scintillation(field: Float32s, ping: Ping, rng: Rng, *, sigma_db: float) -> Float32s:
     """Vary every sample's level from ping to ping, as much in bright bins as in dark ones.
 
     In recordings of a static scene the changes are nearly Gaussian on a logarithmic display.  Here

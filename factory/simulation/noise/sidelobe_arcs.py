@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Decibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping
+from ..imaging.signal import Ping
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -22,7 +23,7 @@ class SidelobeArcsSettings(EffectSettings):
     level_db: Decibels = parameter(-30, "dB")
 
 
-def sidelobe_arcs(field: Floats, ping: Ping, rng: Rng, *, level_db: float) -> Floats:
+def sidelobe_arcs(field: Float32s, ping: Ping, rng: Rng, *, level_db: float) -> Float32s:
     """Leak the strongest return of each range row into all its beams, with one random phase a row.
 
     Beam patterns of `sonar.array` have the sidelobes of a perfect array.  Those of a real array do

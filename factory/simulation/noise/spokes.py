@@ -8,11 +8,12 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Count, Decibels, Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping
+from ..imaging.signal import Ping
 
 # A spoke is cut off this many standard deviations from its centre.
 _SPOKE_REACH = 4
@@ -44,11 +45,11 @@ class Spoke(NamedTuple):
     """
 
     beams: slice
-    noise: Floats
-    amplitude: Floats
+    noise: Float32s
+    amplitude: Float32s
 
 
-def spokes(field: Floats, ping: Ping, rng: Rng, **parameters: Any) -> Floats:
+def spokes(field: Float32s, ping: Ping, rng: Rng, **parameters: Any) -> Float32s:
     """Add noise at single bearings and all ranges, as from other sonars and propellers."""
     for spoke in _draw_spokes(ping, rng, field.shape[0], **parameters):
         field[..., spoke.beams] += spoke.noise * spoke.amplitude

@@ -8,11 +8,12 @@ from typing import Annotated
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Distribution, as_written, within
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected, interpolate_table
-from ..imaging.signal import Floats, Ping, gaussian_table
+from ..imaging.signal import Ping, gaussian_table
 
 _QUANTILE_COUNT = 1024
 _QUANTILE_REACH = 5.5  # standard deviations on either side
@@ -30,7 +31,7 @@ class TextureSettings(EffectSettings):
     patch_m: Annotated[Distribution, within(1e-3, 100, "m"), as_written] = parameter(0.2, "m")
 
 
-def texture(field: Floats, ping: Ping, rng: Rng, *, shape: float, patch_m: float) -> Floats:
+def texture(field: Float32s, ping: Ping, rng: Rng, *, shape: float, patch_m: float) -> Float32s:
     """K-distributed clutter: every bin that a surface fills, times sqrt(tau).
 
     I = mu tau Exp(1) with tau ~ Gamma(nu, 1 / nu): scintillation index 1 + 2 / nu (Abraham & Lyons,
@@ -51,7 +52,7 @@ def texture(field: Floats, ping: Ping, rng: Rng, *, shape: float, patch_m: float
     return field
 
 
-def gamma_of_normal(normal: Floats, shape: float) -> Floats:
+def gamma_of_normal(normal: Float32s, shape: float) -> Float32s:
     """Return Gamma(nu, 1 / nu) values (mean 1) at the quantiles of standard normal ones."""
     steps_per_sigma = np.float32((_QUANTILE_COUNT - 1) / (2 * _QUANTILE_REACH))
     reach = np.float32(_QUANTILE_REACH)
@@ -60,7 +61,7 @@ def gamma_of_normal(normal: Floats, shape: float) -> Floats:
 
 
 @lru_cache(maxsize=64)
-def _quantiles(shape: float) -> Floats:
+def _quantiles(shape: float) -> Float32s:
     """Return the gamma distribution's quantiles at equal steps of a standard normal variable."""
     from scipy import special  # slow to import
 

@@ -12,9 +12,9 @@ from dataclasses import fields
 from typing import Any, get_args
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import TypeAdapter
 
+from ...common.array_types import Float32s
 from ...common.distribution import Distribution
 from ...dataset.frame_ref import FrameRef
 from ..frames.frame import Frame, Intrinsics
@@ -232,9 +232,9 @@ def _echoes_copy(echoes: Echoes) -> Echoes:
 def _ping() -> Ping:
     """A level ground that a small sonar looks at."""
     rows = np.arange(48)[:, None] / 48
-    depth_m: npt.NDArray[np.float32] = np.broadcast_to(
-        np.float32(1.5) / (0.25 + 0.5 * rows), (48, 64)
-    ).astype(np.float32)
+    depth_m: Float32s = np.broadcast_to(np.float32(1.5) / (0.25 + 0.5 * rows), (48, 64)).astype(
+        np.float32
+    )
     frame = Frame(
         FrameRef("", "trial", "0"),
         np.full((48, 64, 3), 128, np.uint8),

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.distribution import Decibels
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.signal import Floats, Ping, Signal, add_white_noise
+from ..imaging.signal import Ping, Signal, add_white_noise
 from ..sonar import array
 
 
@@ -33,7 +34,7 @@ def volume(signal: Signal, ping: Ping, rng: Rng, *, strength_db: float) -> Signa
     return signal
 
 
-def haze_intensity(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
+def haze_intensity(ping: Ping, strength_db: float) -> tuple[Float32s, Float32s]:
     """Expected intensity of the haze in each bin: (range_bins,) times (beams,) float32.
 
     s_v V / r^4 of the volume V = r^2 theta phi dr: theta the bin's bearings, phi the integral of

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from ...common.array_types import Array, Bools, Float32s, UInt16s
 from ...common.errors import FrameError
 from ...dataset.fan_geometry import FanGeometry
 from ...dataset.frame_ref import FrameRef
@@ -27,7 +28,7 @@ from ..devices import draw as devices
 from ..frames.frame import Frame
 from ..imaging import layers as truth
 from ..imaging.coherent import CoherentSample, CoherentScene
-from ..imaging.contract import Floats, SceneSample
+from ..imaging.contract import SceneSample
 from ..imaging.pointwise import PointwiseScene
 from ..imaging.settings import CoherentSettings, with_materials
 from ..labels.camera_layers import Camera, CameraLayers
@@ -74,8 +75,8 @@ class ObservedFrame:
     has_pose: bool
     window: Window
     scene: PointwiseScene | CoherentScene
-    shadow: npt.NDArray[np.bool_]
-    layers: Mapping[str, npt.NDArray[np.generic]]
+    shadow: Bools
+    layers: Mapping[str, Array]
     columns: Mapping[str, float | str]
     continuous: bool = False
     later_groups: tuple[Scene, ...] = ()
@@ -440,7 +441,7 @@ def make_pair(
 def _visibility(
     samples: Sequence[SceneSample],
     layout: _Layout,
-    instance: npt.NDArray[np.uint16],
+    instance: UInt16s,
     config: FactoryConfig,
 ) -> dict[str, float | str]:
     """The column `visibility`: in the mean of noisy images, whose noise hides what is faint.
@@ -461,7 +462,7 @@ def _visibility(
 
 def _measured_values(
     samples: Sequence[SceneSample], draws: Draws, config: FactoryConfig
-) -> dict[str, npt.NDArray[np.generic]]:
+) -> dict[str, Array]:
     """(range_bins, beams) of the measured layers, by name; each beam from the sample of its group.
 
     samples: one for each group of beams.
@@ -482,13 +483,13 @@ class _Layout:
         self._dtype = config.dataset.dtype
         self._is_plain = config.sonar.image.plain and not is_drawn
 
-    def inside(self) -> npt.NDArray[np.bool_]:
+    def inside(self) -> Bools:
         """(H, W) bool: the pixels of the sector that hold data."""
         seen = polar.seen_beams(self._window, self._sonar)
         bins = np.repeat(seen[None], self._sonar.range_bins, axis=0)
         return lay_out_nearest(bins, self._window, self._sonar)
 
-    def image(self, grey: Floats, *, is_noisy: bool) -> npt.NDArray[np.generic]:
+    def image(self, grey: Float32s, *, is_noisy: bool) -> Array:
         """(range_bins, beams) grey values -> (H, W) uint8 or float32."""
         if self._is_plain:
             laid_out = lay_out(grey, self._window, self._sonar)

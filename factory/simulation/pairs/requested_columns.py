@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s
 from ...dataset.labels import class_names
 from ...dataset.schema import Column
 from ..frames.frame import Frame
@@ -113,7 +113,7 @@ def pose_row(frame: Frame, mount: Mount) -> Row:
     return row
 
 
-def _position_and_quaternion(pose: npt.NDArray[np.float64]) -> list[float]:
+def _position_and_quaternion(pose: Float64s) -> list[float]:
     """Return x, y, z (metres) and the unit quaternion x, y, z, w of a (4, 4) pose, w >= 0."""
     from scipy.spatial.transform import Rotation  # slow to import
 

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Bools, Float32s, Float64s, Int32s
 from ...common.limits import limited
 from ...common.settings import STRICT
 from ..frames.frame import Frame
@@ -65,7 +65,7 @@ class Mount:
         tilt = np.deg2rad(camera_tilt_deg)
         return float(up_m * np.cos(tilt) - forward_m * np.sin(tilt))
 
-    def rotation_sonar_from_camera(self) -> npt.NDArray[np.float64]:
+    def rotation_sonar_from_camera(self) -> Float64s:
         """(3, 3): turns directions in camera axes into sonar axes."""
         pitch, yaw = np.deg2rad([self.pitch_deg, self.yaw_deg])
         about_left = np.array(
@@ -76,11 +76,11 @@ class Mount:
         )
         return np.asarray((about_up @ about_left).T @ _SONAR_FROM_CAMERA_AXES)
 
-    def position_camera_m(self) -> npt.NDArray[np.float64]:
+    def position_camera_m(self) -> Float64s:
         """(3,) position of the sonar in camera axes, metres."""
         return np.asarray(_SONAR_FROM_CAMERA_AXES.T @ np.asarray(self.translation_m))
 
-    def in_sonar_axes(self, camera_m: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def in_sonar_axes(self, camera_m: Float64s) -> Float64s:
         """(N, 3) places in sonar axes, metres, for (N, 3) places in camera axes."""
         x, y, z = (camera_m - self.position_camera_m()).T
         # Spelled out, for a matrix product of many points may round differently on other
@@ -88,7 +88,7 @@ class Mount:
         rows = self.rotation_sonar_from_camera()
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rows], axis=-1)
 
-    def axes(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    def axes(self) -> tuple[Float32s, Float32s]:
         """Both of them in single precision, as compiled loops want them."""
         turn = self.rotation_sonar_from_camera()
         position_m = self.position_camera_m()
@@ -146,13 +146,13 @@ class Bounces:
     pixels_each: camera pixels for which a path stands.
     """
 
-    mirror: npt.NDArray[np.int32]
-    second: npt.NDArray[np.int32]
-    distance_m: npt.NDArray[np.float32]
+    mirror: Int32s
+    second: Int32s
+    distance_m: Float32s
     reflection_loss_db: float
     pixels_each: int
 
-    def clear_of(self, covered: npt.NDArray[np.bool_]) -> Bounces:
+    def clear_of(self, covered: Bools) -> Bounces:
         """The paths that touch no covered pixel; covered: (pixels,)."""
         is_clear = ~(covered[self.mirror] | covered[self.second])
         return replace(
@@ -173,8 +173,8 @@ class Rendered:
     bounces: paths by way of a second surface; None where none were traced or found.
     """
 
-    radiance: npt.NDArray[np.float32]
-    surface: npt.NDArray[np.bool_]
+    radiance: Float32s
+    surface: Bools
     bounces: Bounces | None = None
 
 

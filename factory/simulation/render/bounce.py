@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s, Float64s, Int64s
 from ..frames.frame import Frame, Intrinsics
 from .base import Bounces, RenderSettings
 from .ray_caster import RayCaster
@@ -29,8 +29,8 @@ def trace_bounces(
     open3d: Any,
     frame: Frame,
     settings: RenderSettings,
-    radiance: npt.NDArray[np.float32],
-    sonar_m: npt.NDArray[np.float64],
+    radiance: Float32s,
+    sonar_m: Float64s,
 ) -> Bounces | None:
     """The paths of one bounce in a frame; None where there are none.
 
@@ -89,24 +89,22 @@ def _traced_pixels(frame: Frame) -> Frame:
     )
 
 
-def _full_resolution(pixel: npt.NDArray[np.int64], width: int) -> npt.NDArray[np.int64]:
+def _full_resolution(pixel: Int64s, width: int) -> Int64s:
     """Flat numbers in an image of this width of flat numbers among its traced pixels."""
     row, column = np.divmod(pixel, -(-width // _COLUMN_STRIDE))
     return np.asarray(_ROW_STRIDE * row * width + _COLUMN_STRIDE * column)
 
 
-def _mirrored(
-    directions: npt.NDArray[np.float32], normals: npt.NDArray[np.float32]
-) -> npt.NDArray[np.float32]:
+def _mirrored(directions: Float32s, normals: Float32s) -> Float32s:
     """(N, 3) unit vectors reflected about (N, 3) unit normals."""
     return np.asarray(directions - 2 * _dot(directions, normals)[:, None] * normals)
 
 
-def _unit(vectors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def _unit(vectors: Float32s) -> Float32s:
     return np.asarray(vectors / np.sqrt(_dot(vectors, vectors))[:, None])
 
 
-def _dot(left: npt.NDArray[np.float32], right: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def _dot(left: Float32s, right: Float32s) -> Float32s:
     """(N,) products, summed in one order on every machine."""
     return np.asarray(
         left[:, 0] * right[:, 0] + left[:, 1] * right[:, 1] + left[:, 2] * right[:, 2]

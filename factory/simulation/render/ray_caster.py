@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Bools, Float32s, Int64s
 from .surface import SHADOW_BIAS, Pixels, surface_mesh
-
-Points = npt.NDArray[np.float32]
 
 
 class Hits(NamedTuple):
@@ -19,9 +17,9 @@ class Hits(NamedTuple):
     pixel: (K,) int64, flat number of the nearest pixel.
     """
 
-    ray: npt.NDArray[np.int64]
-    place_m: Points
-    pixel: npt.NDArray[np.int64]
+    ray: Int64s
+    place_m: Float32s
+    pixel: Int64s
 
 
 class RayCaster:
@@ -41,14 +39,14 @@ class RayCaster:
             self._mesh.triangles.astype(np.uint32),
         )
 
-    def hidden(self, points_m: Points, from_m: Points) -> npt.NDArray[np.bool_]:
+    def hidden(self, points_m: Float32s, from_m: Float32s) -> Bools:
         """(N,) bool: which of (N, 3) points of the surface it hides from (3,) another place."""
         rays = np.concatenate([points_m, from_m - points_m], axis=-1)
         return np.asarray(
             self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy()
         )
 
-    def first_hits(self, origins_m: Points, directions: Points) -> Hits:
+    def first_hits(self, origins_m: Float32s, directions: Float32s) -> Hits:
         """Cast rays from (N, 3) points of the surface along (N, 3) unit vectors."""
         rays = np.concatenate([origins_m, directions], axis=-1)
         cast = self._scene.cast_rays(self._tensor(rays))

@@ -16,8 +16,8 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Bools, Float32s, Float64s
 from ...common.errors import FactoryError
 from ...common.quiet import quiet
 from ...common.small_files import one_line
@@ -62,7 +62,7 @@ class ClosedFormRenderer:
             bounces = trace_bounces(self._open3d, frame, self._settings, radiance, sonar_m)
         return Rendered(radiance, pixels.mask, bounces)
 
-    def _shadow(self, pixels: Pixels, sonar_m: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    def _shadow(self, pixels: Pixels, sonar_m: Float64s) -> Bools:
         """(H, W) bool: surface pixels that the mesh hides from the sonar."""
         caster = RayCaster(self._open3d, pixels)
         surface = caster.surface
@@ -176,7 +176,7 @@ _NORMAL = "surface_normal"
 _RADIUS = "sphere_radius"
 
 
-def _set(mesh: Any, name: str, values: npt.NDArray[Any]) -> None:
+def _set(mesh: Any, name: str, values: Array) -> None:
     """Write a mesh attribute, as a new one on the vertices where Blender has none of that name."""
     field = "vector" if values.ndim == 2 and values.dtype == np.float32 else "value"
     kind = "FLOAT_VECTOR" if field == "vector" else "FLOAT"
@@ -316,14 +316,14 @@ def _aim(scene: Any, lens: Any, intrinsics: Intrinsics, height: int, width: int)
     lens.shift_y = rise / width * intrinsics.fx / intrinsics.fy
 
 
-def _pixels(bpy: Any, scene: Any) -> npt.NDArray[np.float32]:
+def _pixels(bpy: Any, scene: Any) -> Float32s:
     """(H, W, 4) float32 linear RGBA of a scene, premultiplied, top row first.
 
     Taken as soon as Cycles has it: later on, without a window, it cannot be read.
     """
     from cycles import CyclesRender
 
-    taken: list[npt.NDArray[np.float32]] = []
+    taken: list[Float32s] = []
     original: Callable[..., None] = CyclesRender.render
 
     def render_and_take(self: Any, depsgraph: Any) -> None:

@@ -12,11 +12,11 @@ tangent planes.  Every surface pixel is then an interior point of the mesh.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Bools, Float32s, Float64s, Floats, Int32s, Int64s, UInt8s
 from ..frames.frame import Frame, Intrinsics
 from . import kernels
 from .base import RenderSettings
@@ -25,10 +25,10 @@ from .base import RenderSettings
 _FAINTEST = 1e-12
 
 
-Grid = tuple[npt.NDArray[Any], ...]
+Grid = tuple[Array, ...]
 
 
-def grid_of(depth_m: npt.NDArray[np.floating[Any]], camera: Intrinsics, edge_ratio: float) -> Grid:
+def grid_of(depth_m: Floats, camera: Intrinsics, edge_ratio: float) -> Grid:
     """(H, W) depths as `kernels` want them, a border of one unmeasured pixel all around.
 
     Depth, its joints, and what it is multiplied by to give x in each column and y in each row:
@@ -52,10 +52,10 @@ class Surface:
     intrinsics: of a camera with these pixels alone.
     """
 
-    points_m: npt.NDArray[np.float32]
-    normals: npt.NDArray[np.float32]
-    albedo: npt.NDArray[np.float32]
-    mask: npt.NDArray[np.bool_]
+    points_m: Float32s
+    normals: Float32s
+    albedo: Float32s
+    mask: Bools
     intrinsics: Intrinsics
 
 
@@ -68,11 +68,11 @@ class Pixels:
         from the first on (of two).
     """
 
-    depth_m: npt.NDArray[np.float32]
+    depth_m: Float32s
     intrinsics: Intrinsics
-    albedo: npt.NDArray[np.float32]
+    albedo: Float32s
     grid: Grid
-    mask: npt.NDArray[np.bool_]
+    mask: Bools
     edge_ratio: float
     stride: int
 
@@ -89,17 +89,17 @@ class Pixels:
         albedo = np.ascontiguousarray(self.albedo[::stride, ::stride])
         return Surface(points_m, normals, albedo, mask, Intrinsics(fx, fy, cx, cy))
 
-    def radiance(self, sonar_m: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
+    def radiance(self, sonar_m: Floats) -> Float32s:
         """(H, W) float32 light of a sonar at (3,) metres in camera axes, without shadows."""
         light = kernels.shade(self.grid, self.mask, self.albedo, np.asarray(sonar_m, np.float32))
         return np.asarray(light)
 
     def apply(
         self,
-        radiance: npt.NDArray[np.float32],
-        traced: npt.NDArray[np.float32],
-        known: npt.NDArray[np.bool_],
-    ) -> npt.NDArray[np.float32]:
+        radiance: Float32s,
+        traced: Float32s,
+        known: Bools,
+    ) -> Float32s:
         """(H, W) float32 full-resolution light from the closed form and the traced pixels.
 
         radiance: (H, W) of `radiance`.  traced: (h, w), what tracing found where `known`.
@@ -139,10 +139,10 @@ _WINDOW = 1 / 8
 
 
 def albedo(
-    rgb: npt.NDArray[np.uint8],
-    valid: npt.NDArray[np.bool_],
+    rgb: UInt8s,
+    valid: Bools,
     kind: Literal["rgb", "flattened", "constant"],
-) -> npt.NDArray[np.float32]:
+) -> Float32s:
     """(H, W) float32 albedo of a colour image, in (0, 1]; 0 where not `valid`.
 
     rgb: (H, W, 3) uint8 sRGB.  valid: (H, W) bool, pixels that have a depth.
@@ -168,7 +168,7 @@ def albedo(
     return np.asarray(flat)
 
 
-def linear_luminance(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+def linear_luminance(rgb: UInt8s) -> Float32s:
     """(H, W) float32 relative luminance 0..1 of an sRGB image (IEC 61966-2-1 decoding)."""
     code = np.arange(256) / 255
     linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(
@@ -177,9 +177,6 @@ def linear_luminance(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     luminance = kernels.weighted(np.ascontiguousarray(rgb), _LUMINANCE[:, None] * linear)
     return np.asarray(luminance)
 
-
-Flags = npt.NDArray[np.bool_]
-Places = npt.NDArray[np.int64]
 
 # A tangent plane seen edge-on runs away: the rim keeps this part of the edge ratio to its pixel.
 _RIM_REACH = 0.25
@@ -200,11 +197,11 @@ class Quads:
     its bottom side (c-d) is surface.
     """
 
-    falls: Flags
-    upper: Flags
-    lower: Flags
+    falls: Bools
+    upper: Bools
+    lower: Bools
 
-    def triangles(self, upper: Flags, lower: Flags) -> Places:
+    def triangles(self, upper: Bools, lower: Bools) -> Int64s:
         """(N, 3) flat pixel indices of the upper and lower triangles of the chosen quads.
 
         Wound so that the faces look at the camera.
@@ -225,7 +222,7 @@ class Quads:
             triangles.append(np.stack(corners, axis=-1))
         return np.concatenate(triangles)
 
-    def mask(self) -> Flags:
+    def mask(self) -> Bools:
         """(H, W) bool: pixels that are a corner of at least one surface triangle.
 
         A measured pixel that none of its neighbours supports is a flying pixel of the depth sensor,
@@ -241,7 +238,7 @@ class Quads:
         return mask
 
 
-def cut_quads(joints: npt.NDArray[np.uint8]) -> Quads:
+def cut_quads(joints: UInt8s) -> Quads:
     """Cut every quad of the (H, W) `joints` along the diagonal that keeps more of its surface.
 
     A triangle is surface when all its three sides are joined, so a quad with three pixels on a
@@ -269,9 +266,9 @@ class SurfaceMesh(NamedTuple):
     pixel: (N,) int64, flat index of the pixel whose surface a vertex belongs to.
     """
 
-    vertices_m: npt.NDArray[np.float32]
-    triangles: npt.NDArray[np.int32]
-    pixel: Places
+    vertices_m: Float32s
+    triangles: Int32s
+    pixel: Int64s
 
 
 def surface_mesh(pixels: Pixels, surface: Surface) -> SurfaceMesh:
@@ -303,7 +300,7 @@ def surface_mesh(pixels: Pixels, surface: Surface) -> SurfaceMesh:
     )
 
 
-def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Places, Places]:
+def _rim(joints: UInt8s, quads: Quads, mask: Bools) -> tuple[Int64s, Int64s]:
     """Rim triangles of a padded image, each corner a pixel or half way from it to another one.
 
     Returns owner and other (R, 3), flat indices: equal where the corner is the pixel itself.
@@ -315,7 +312,7 @@ def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Plac
     width = mask.shape[1]
     x, y, z = np.concatenate([np.roll(missing, -turn, axis=1) for turn in range(3)]).T
 
-    def meets(p: Places, q: Places) -> Flags:
+    def meets(p: Int64s, q: Int64s) -> Bools:
         first = np.minimum(p, q)
         apart = np.abs(p - q)
         rising = apart == width - 1  # noted at the pixel on the left of the upper one
@@ -343,8 +340,8 @@ def _rim(joints: npt.NDArray[np.uint8], quads: Quads, mask: Flags) -> tuple[Plac
 
 
 def _on_tangent_planes(
-    surface: Surface, owner: Places, places: npt.NDArray[np.float64], edge_ratio: float
-) -> npt.NDArray[np.float32]:
+    surface: Surface, owner: Int64s, places: Float64s, edge_ratio: float
+) -> Float32s:
     """(N, 3) float32 points at (2, N) rows and columns, on the tangent planes of `owner` (N,)."""
     point_m = surface.points_m.reshape(-1, 3)[owner].astype(np.float64)
     normal = surface.normals.reshape(-1, 3)[owner]

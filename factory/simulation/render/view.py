@@ -20,8 +20,8 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float32s, UInt8s, UInt16s
 from ...common.small_files import parse_json
 from ...dataset.frame_ref import FrameRef
 from ..frames.frame import BOX_FIELDS, Frame, Intrinsics, Surroundings
@@ -38,7 +38,6 @@ _CHECKSUM_BYTES = 16
 MOST_PIXELS = 1 << 25
 _MOST_HEAD_BYTES = 1 << 16
 
-Codes = npt.NDArray[np.uint16]
 _ZSTD = zstd.CompressionParameter
 # Optional numbers of a view's head.
 _NUMBERS = ("time_s", "altitude_m")
@@ -67,7 +66,7 @@ class View:
     """
 
     unnamed_frame: Frame
-    radiance: npt.NDArray[np.float32]
+    radiance: Float32s
     mount: Mount
     bounces: Bounces | None = None
 
@@ -98,7 +97,7 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
     return View(stored_frame, rounded(rendered.radiance, RADIANCE)[1], mount, bounces)
 
 
-def _black(shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+def _black(shape: tuple[int, ...]) -> UInt8s:
     return np.broadcast_to(np.uint8(0), (*shape, 3))
 
 
@@ -256,7 +255,7 @@ def _checksum(content: bytes) -> bytes:
     return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()
 
 
-def rounded(values: npt.NDArray[np.float32], steps: Steps) -> tuple[Codes, npt.NDArray[np.float32]]:
+def rounded(values: Float32s, steps: Steps) -> tuple[UInt16s, Float32s]:
     """(H, W) uint16 code of each value, and (H, W) float32 that it stands for.
 
     0 for nothing (no value above 0), else 1 + its level: the logarithm of value / low in steps,
@@ -282,16 +281,16 @@ def rounded(values: npt.NDArray[np.float32], steps: Steps) -> tuple[Codes, npt.N
 
 
 @lru_cache(maxsize=8)
-def _table(steps: Steps) -> npt.NDArray[np.float32]:
+def _table(steps: Steps) -> Float32s:
     """Value of each 16-bit code, damaged ones too."""
     power = np.minimum((np.arange(1 << 16) - 1) * steps.step, 80.0)
-    table: npt.NDArray[np.float32] = (steps.low * np.exp(power)).astype(np.float32)
+    table: Float32s = (steps.low * np.exp(power)).astype(np.float32)
     table[0] = 0
     table.setflags(write=False)
     return table
 
 
-def fold(codes: Codes) -> bytes:
+def fold(codes: UInt16s) -> bytes:
     """(H, W) codes as 2 H W bytes that a compressor makes little of.
 
     Second differences, folded to small numbers; low and high bytes lie apart.
@@ -302,7 +301,7 @@ def fold(codes: Codes) -> bytes:
     return np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 2).T).tobytes()
 
 
-def unfold(content: bytes, shape: tuple[int, int], steps: Steps) -> npt.NDArray[np.float32]:
+def unfold(content: bytes, shape: tuple[int, int], steps: Steps) -> Float32s:
     """(H, W) float32 values of the codes that `fold` wrote.  Raises ValueError for other sizes."""
     from . import kernels  # loads numba
 

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s
 from ...common.errors import FactoryError, FrameError
 from ...common.limits import limited
 from ...common.settings import STRICT
@@ -148,7 +148,7 @@ class CsvListReader:
         return read_frame(ref, rgb, depth_m, self._lens, settings.bad_depth)
 
 
-def along_axis(distance_m: npt.NDArray[np.float32], lens: Intrinsics) -> npt.NDArray[np.float32]:
+def along_axis(distance_m: Float32s, lens: Intrinsics) -> Float32s:
     """(H, W) distances along the optical axis of distances along the rays: r / |K^-1 (u, v, 1)|."""
     x, y = lens.directions(*distance_m.shape)
     lengths = np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Float32s, UInt8s
 from ...common.errors import FrameError
 from ...common.quiet import quiet_stderr
 from ...common.small_files import one_line
@@ -66,7 +66,7 @@ _FARTHEST_M = 300.0
 _COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 10000.0)
 
 
-def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
+def read_rgb(path: Path) -> UInt8s:
     """(H, W, 3) uint8 colour image, upright; grey images are repeated in the three channels.
 
     An EXIF orientation is applied, as image viewers and OpenCV do.
@@ -82,12 +82,12 @@ def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
     return np.ascontiguousarray(np.asarray(image.convert("RGB"), dtype=np.uint8))
 
 
-def read_depth(path: Path, units_per_m: float | None = None) -> npt.NDArray[np.float32]:
+def read_depth(path: Path, units_per_m: float | None = None) -> Float32s:
     """(H, W) float32 depth in metres; see `stored_depth` and `in_metres`."""
     return in_metres(stored_depth(path), units_per_m)
 
 
-def stored_depth(path: Path) -> npt.NDArray[Any]:
+def stored_depth(path: Path) -> Array:
     """(H, W) depth exactly as stored: NaN, negatives and 0 are kept.
 
     dtype: integers of 16 bits or more, or floating point.
@@ -107,9 +107,7 @@ def stored_depth(path: Path) -> npt.NDArray[Any]:
     return stored
 
 
-def in_metres(
-    stored: npt.NDArray[Any], units_per_m: float | None = None
-) -> npt.NDArray[np.float32]:
+def in_metres(stored: Array, units_per_m: float | None = None) -> Float32s:
     """(H, W) float32 metres.
 
     units_per_m: what the stored numbers are divided by (1000: millimetres); None: integers by
@@ -122,7 +120,7 @@ def in_metres(
         return np.ascontiguousarray(depth_m, dtype=np.float32)
 
 
-def refuse_mark(path: Path, stored: npt.NDArray[Any], units_per_m: float | None) -> None:
+def refuse_mark(path: Path, stored: Array, units_per_m: float | None) -> None:
     """Raise FrameError when the largest number marks pixels without a measurement.
 
     It does where many pixels hold it, and it is the largest of the stored type, of uint16 (also
@@ -157,7 +155,7 @@ def _mark_reason(dtype: np.dtype[Any], largest: float, largest_m: float) -> str:
     return ""
 
 
-def _divisor(stored: npt.NDArray[Any], units_per_m: float | None) -> float:
+def _divisor(stored: Array, units_per_m: float | None) -> float:
     return units_per_m or (INTEGERS_PER_M if stored.dtype.kind in "iu" else 1.0)
 
 
@@ -303,8 +301,8 @@ def _teach_float64_tiff() -> None:
 
 def read_frame(
     ref: FrameRef,
-    rgb: npt.NDArray[np.uint8],
-    depth_m: npt.NDArray[np.float32],
+    rgb: UInt8s,
+    depth_m: Float32s,
     intrinsics: Intrinsics,
     bad_depth: str,
 ) -> Frame:

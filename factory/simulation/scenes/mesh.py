@@ -23,6 +23,7 @@ import numpy.typing as npt
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float64s, UInt8s
 from ...common.distribution import Altitude
 from ...common.distribution import Angle as DrawnAngle
 from ...common.errors import FactoryError, FrameError
@@ -51,7 +52,6 @@ _Metres = Annotated[float, limited(-5000, 5000, "m")]
 _Tilt = Annotated[float, limited(-90, 90, "deg")]
 Span = tuple[_Metres, _Metres]
 TiltSpan = tuple[_Tilt, _Tilt]
-Points = npt.NDArray[np.float64]
 
 
 PosesAlong = Callable[[float, Stance], Pose]
@@ -154,7 +154,7 @@ class MeshSettings(RecordingSettings):
         """See `SceneSettings`."""
         return 0.0 if self.poses is None else float(self._pose_times_s()[0])
 
-    def _pose_times_s(self) -> Points:
+    def _pose_times_s(self) -> Float64s:
         assert self.poses is not None
         return trajectory(Path(self.poses).expanduser())[0]
 
@@ -168,8 +168,8 @@ class MeshWorld:
     """
 
     objects: Objects
-    shades: npt.NDArray[np.uint8]
-    origin_m: Points
+    shades: UInt8s
+    origin_m: Float64s
     notes: tuple[str, ...]
 
 
@@ -284,7 +284,7 @@ class MeshReader:
         objects = Objects([part.mesh for part in model.parts], self._labels(model.parts))
         return MeshWorld(objects, _shades(objects), model.origin_m, notes)
 
-    def _labels(self, parts: tuple[MeshPart, ...]) -> npt.NDArray[np.uint8]:
+    def _labels(self, parts: tuple[MeshPart, ...]) -> UInt8s:
         """(N,) classes of the parts.  Raises FactoryError for a pattern that no name matches."""
         settings = self._settings
         class_numbers = class_names(settings.own_classes())
@@ -303,9 +303,7 @@ class MeshReader:
             labels[matching] = class_numbers.index(stated.label)
         return labels
 
-    def _camera_image(
-        self, viewpoint: Pose, optics: Optics, shaded: npt.NDArray[np.uint8]
-    ) -> npt.NDArray[np.uint8]:
+    def _camera_image(self, viewpoint: Pose, optics: Optics, shaded: UInt8s) -> UInt8s:
         """What a camera sees of a .blend, in its own materials; of other files the shaded faces."""
         if self._path.suffix.lower() != ".blend":
             return shaded
@@ -383,14 +381,14 @@ class MeshReader:
 
         return transect
 
-    def _level_above(self, places: Points, target: PathTarget) -> float:
+    def _level_above(self, places: Float64s, target: PathTarget) -> float:
         """Height of the ground below a path: the median at (N, 3) places along it."""
         measured = [height for height in map(self._ground_m, places) if height is not None]
         return float(np.median(measured)) if measured else float(target.centre[2])
 
     def _standing(
         self,
-        eye: Points,
+        eye: Float64s,
         heading_deg: float,
         tilt_deg: float,
         path_ground_m: float,
@@ -409,19 +407,19 @@ class MeshReader:
             eye = np.array([*eye[:2], ground_m + stance.altitude_m])
         return pose(eye, heading_deg, tilt_deg, 0.0)
 
-    def _clear(self, place: Points, level_m: float) -> Points:
+    def _clear(self, place: Float64s, level_m: float) -> Float64s:
         """The place at a level, or higher: clear of what lies under it."""
         ground_m = self._ground_m(place)
         clear = level_m if ground_m is None else max(level_m, ground_m + _CLEAR_M)
         return np.array([*place[:2], clear])
 
-    def _ground_m(self, place: Points) -> float | None:
+    def _ground_m(self, place: Float64s) -> float | None:
         """Height of the highest thing at a place."""
         top_m = float(self._world.objects.mesh.vertices[:, 2].max()) + 1
         below = self._altitude_m(np.array([*place[:2], top_m]))
         return None if below is None else top_m - below
 
-    def _altitude_m(self, eye: Points) -> float | None:
+    def _altitude_m(self, eye: Float64s) -> float | None:
         """Metres to the first thing right under the eye."""
         optics = centred(500, _GROUND_PX, _GROUND_PX)
         down = pose(eye, 0, 90, 0)
@@ -436,12 +434,12 @@ class PathTarget:
     is_part: it is a part with a class, and not the whole world.
     """
 
-    centre: Points
+    centre: Float64s
     reach_m: float
     is_part: bool
 
 
-def _shades(objects: Objects) -> npt.NDArray[np.uint8]:
+def _shades(objects: Objects) -> UInt8s:
     """(T + 1, 3) sRGB of the faces lit from above, as through water; the last is black."""
     a, b, c = objects.mesh.vertices[objects.mesh.triangles].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
@@ -452,7 +450,7 @@ def _shades(objects: Objects) -> npt.NDArray[np.uint8]:
     return np.append(shades, np.zeros((1, 3), np.uint8), axis=0)
 
 
-def _level(angle_rad: npt.ArrayLike) -> Points:
+def _level(angle_rad: npt.ArrayLike) -> Float64s:
     """(..., 3) unit vectors along headings."""
     angle = np.asarray(angle_rad)
     return np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)

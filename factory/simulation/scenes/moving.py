@@ -14,18 +14,16 @@ from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float64s
 from ...common.distribution import Distribution, number, parse
 from ...common.errors import FactoryError
 from ...common.settings import STRICT, ClassName
 from ...common.text_tables import numbered_lines, numbers_in
 from ...dataset.labels import ObjectName
 from .base import OwnClass, Root
-
-Points = npt.NDArray[np.float64]
 
 FASTEST_M_S = 30.0
 """No fish, diver or vehicle under water is faster."""
@@ -188,9 +186,9 @@ class Mover(NamedTuple):
 class Waypoints(NamedTuple):
     """A recorded path: times (N,) s, places (N, 3) m and angles (N, 3) deg, yaw, pitch, roll."""
 
-    time_s: Points
-    places_m: Points
-    angles_deg: Points
+    time_s: Float64s
+    places_m: Float64s
+    angles_deg: Float64s
 
 
 @lru_cache(maxsize=16)

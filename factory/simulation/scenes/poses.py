@@ -14,12 +14,10 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s
 from ...common.errors import FactoryError
 from ...common.text_tables import numbered_lines, numbers_in, text_lines
-
-Points = npt.NDArray[np.float64]
 
 _COLUMNS = ("time", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _SECONDS = {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
@@ -38,7 +36,7 @@ optical: x right, y down, z forward; z of the world up.  flu: x forward, y left,
 world up (ROS).  ned: x forward, y right, z down; z of the world down.
 """
 # Columns: the optical axes in the axes of the body.
-_OPTICAL_IN_BODY: dict[PosesFrame, Points] = {
+_OPTICAL_IN_BODY: dict[PosesFrame, Float64s] = {
     "optical": np.eye(3),
     "flu": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
     "ned": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
@@ -55,7 +53,7 @@ class _Column(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def optical_trajectory(path: Path, frame: PosesFrame) -> tuple[Points, Points]:
+def optical_trajectory(path: Path, frame: PosesFrame) -> tuple[Float64s, Float64s]:
     """Times (N,) and poses (N, 4, 4), optical camera axes to a world whose z points up.
 
     Raises FactoryError as `trajectory` does.
@@ -66,7 +64,7 @@ def optical_trajectory(path: Path, frame: PosesFrame) -> tuple[Points, Points]:
     return times_s, _TURNED_OVER @ poses if frame == "ned" else poses
 
 
-def axes_remark(frame: PosesFrame, forward: Points) -> str:
+def axes_remark(frame: PosesFrame, forward: Float64s) -> str:
     """What a frame that sees nothing may owe to the axes of its pose.
 
     forward: (3,) unit vector along which the camera looks, z up.
@@ -84,7 +82,7 @@ def axes_remark(frame: PosesFrame, forward: Points) -> str:
 
 
 @lru_cache(maxsize=4)
-def trajectory(path: Path) -> tuple[Points, Points]:
+def trajectory(path: Path) -> tuple[Float64s, Float64s]:
     """Times (N,) in seconds and poses (N, 4, 4), camera to world, of a file.
 
     Raises FactoryError that names file and line.
@@ -115,7 +113,7 @@ def trajectory(path: Path) -> tuple[Points, Points]:
     return table[:, 0], poses
 
 
-def _rotations(quaternions: Points) -> Points:
+def _rotations(quaternions: Float64s) -> Float64s:
     """(N, 3, 3) of unit quaternions (N, 4) in the order x, y, z, w.
 
     R = (w^2 - a.a) I + 2 a a^T + 2 w [a]x, Rodrigues' formula for the quaternion (a, w).
@@ -124,7 +122,7 @@ def _rotations(quaternions: Points) -> Points:
     outer = axis[:, :, None] * axis[:, None, :]
     cross = np.cross(axis[:, None, :], np.eye(3)[None], axisa=2, axisb=2)
     square = (w**2 - np.sum(axis**2, axis=1, keepdims=True))[:, :, None]
-    rotations: Points = square * np.eye(3) + 2 * outer - 2 * w[:, :, None] * cross
+    rotations: Float64s = square * np.eye(3) + 2 * outer - 2 * w[:, :, None] * cross
     return rotations
 
 

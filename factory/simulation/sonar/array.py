@@ -18,10 +18,9 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float32s, Float64s
 from ...common.limits import limited
 from ...common.settings import STRICT
-
-Floats = npt.NDArray[np.float64]
 
 # Fewest elements of an array.  N of them repeat their response N nulls away (grating lobes), so
 # there are more where a sector reaches further than half of that.
@@ -70,7 +69,7 @@ class ArraySettings:
 
 
 @lru_cache(maxsize=32)
-def weights(taper: Taper, elements: int = _ELEMENTS) -> Floats:
+def weights(taper: Taper, elements: int = _ELEMENTS) -> Float64s:
     """(elements,) shading of the elements, sum 1."""
     from scipy.signal import windows  # 0.3 s to import
 
@@ -87,7 +86,7 @@ def weights(taper: Taper, elements: int = _ELEMENTS) -> Floats:
     return np.asarray(shading / shading.sum())
 
 
-def response(argument: npt.ArrayLike, taper: Taper) -> Floats:
+def response(argument: npt.ArrayLike, taper: Taper) -> Float64s:
     """Amplitude response at (L / lambda) sin(theta), or range / (c / 2B); 1 at 0, real, even.
 
     Any shape.  For the uniform window it is the normalised sinc (Urick 1983, ch. 3).
@@ -113,7 +112,7 @@ def _elements(furthest: float) -> int:
     return elements
 
 
-def _response_table(count: int, taper: Taper) -> Floats:
+def _response_table(count: int, taper: Taper) -> Float64s:
     """(count,) the response at -1, 0, 1 ... steps of 1 / 128; whole chunks serve all devices."""
     steps = np.arange(-1, count - 1) / _STEPS
     whole = count // _CHUNK * _CHUNK
@@ -122,7 +121,7 @@ def _response_table(count: int, taper: Taper) -> Floats:
 
 
 @lru_cache(maxsize=8)
-def _whole_chunks(taper: Taper, elements: int) -> Floats:
+def _whole_chunks(taper: Taper, elements: int) -> Float64s:
     return response(np.arange(-1, elements // 2 * _STEPS - 1) / _STEPS, taper)
 
 
@@ -146,7 +145,7 @@ def aperture_wavelengths(width_deg: float, taper: Taper) -> float:
     return half_power(taper) / float(np.sin(np.deg2rad(width_deg) / 2))
 
 
-def beam_mixing(beams_rad: Floats, array: ArraySettings) -> npt.NDArray[np.float32]:
+def beam_mixing(beams_rad: Float64s, array: ArraySettings) -> Float32s:
     """(beams, beams) float32: amplitude that beam j receives of an echo in the direction of beam i.
 
     Its square mixes intensities; the squares of each row sum to 1, so no energy comes or goes.
@@ -166,7 +165,7 @@ def beam_mixing(beams_rad: Floats, array: ArraySettings) -> npt.NDArray[np.float
     return np.asarray(amplitude, np.float32)
 
 
-def range_kernel(bin_m: float, array: ArraySettings, speed_m_s: float) -> npt.NDArray[np.float32]:
+def range_kernel(bin_m: float, array: ArraySettings, speed_m_s: float) -> Float32s:
     """(2 n + 1,) float32 amplitudes along range, squares summing to 1.
 
     bin_m: length of a range bin.  Left out: what lies 60 dB below the peak.  A single 1 when the
@@ -203,7 +202,7 @@ def beam_width_sine(array: ArraySettings) -> float:
     return equivalent_width(array.horizontal) / length
 
 
-def vertical_pattern(sine: Floats, vfov_deg: float, array: ArraySettings) -> Floats:
+def vertical_pattern(sine: Float64s, vfov_deg: float, array: ArraySettings) -> Float64s:
     """Two-way intensity pattern at the sine of the elevation; 1 straight ahead, 1/4 at vfov / 2.
 
     Transmitter and receiver have the same vertical pattern; each is at -3 dB there.
@@ -212,13 +211,13 @@ def vertical_pattern(sine: Floats, vfov_deg: float, array: ArraySettings) -> Flo
     return np.asarray(response(sine * length, array.vertical) ** 4)
 
 
-def vertical_table(vfov_deg: float, array: ArraySettings) -> npt.NDArray[np.float32]:
+def vertical_table(vfov_deg: float, array: ArraySettings) -> Float32s:
     """(4097,) `vertical_pattern` at equal steps of sin(elevation) from -1 to 1."""
     return _vertical_table(vfov_deg, array.vertical).astype(np.float32)
 
 
 @lru_cache(maxsize=32)
-def _vertical_table(vfov_deg: float, vertical: Taper) -> Floats:
+def _vertical_table(vfov_deg: float, vertical: Taper) -> Float64s:
     sine = np.linspace(-1, 1, _PATTERN_STEPS + 1)
     return vertical_pattern(sine, vfov_deg, ArraySettings(vertical=vertical))
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from ...common.array_types import Bools, Float32s, Floats, Int32s
 from ...dataset.fan_geometry import pixel_size
 
 if TYPE_CHECKING:  # settings load pydantic, which images of real sonars can do without
@@ -29,14 +30,14 @@ class FanTable:
     and to the next beam.  inside: (H, W) bool sector mask.  beams: columns of the polar image.
     """
 
-    pixel: npt.NDArray[np.int32]
-    corner: npt.NDArray[np.int32]
-    down: npt.NDArray[np.float32]
-    across: npt.NDArray[np.float32]
-    inside: npt.NDArray[np.bool_]
+    pixel: Int32s
+    corner: Int32s
+    down: Float32s
+    across: Float32s
+    inside: Bools
     beams: int
 
-    def bilinear(self, polar: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+    def bilinear(self, polar: Floats) -> Float32s:
         """(H, W) float32 fan image of a (range_bins, beams) image; 0 outside the sector."""
         from . import kernels  # loads numba
 
@@ -87,18 +88,14 @@ def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
     return FanTable(*places, inside, sonar.beams)
 
 
-def lay_out(
-    grey: npt.NDArray[np.float32], window: Window, sonar: SonarSettings
-) -> npt.NDArray[np.float32]:
+def lay_out(grey: Float32s, window: Window, sonar: SonarSettings) -> Float32s:
     """A polar image in the layout that was asked for; 0 outside the sector of a fan."""
     if sonar.image.layout == "polar":
         return grey
     return fan_table(sonar, window.near_fraction).bilinear(grey)
 
 
-def rasterised(
-    grey: npt.NDArray[np.float32], window: Window, sonar: SonarSettings, *, noisy: bool
-) -> npt.NDArray[np.float32]:
+def rasterised(grey: Float32s, window: Window, sonar: SonarSettings, *, noisy: bool) -> Float32s:
     """`lay_out` as makers' programs do it, by sampling, enlargement and JPEG of `sonar.image`.
 
     Returns (H, W) float32 in 0..1, rounded to 8 bits.  noisy: whether JPEG leaves its traces.

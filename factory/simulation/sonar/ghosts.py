@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Float64s, Int32s
 from .polar import Echoes, from_xyz
 from .surface import LitSurface, mount_weight
-
-Doubles = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,19 +28,19 @@ class GhostPaths:
     second_pixel: (N,) int32 flat camera pixel.  pixels_each: camera pixels in a bundle.
     """
 
-    image_m: Doubles
-    second_m: Doubles
-    radiance: Doubles
-    solid_angle: Doubles
-    second_pixel: npt.NDArray[np.int32]
+    image_m: Float64s
+    second_m: Float64s
+    radiance: Float64s
+    solid_angle: Float64s
+    second_pixel: Int32s
     pixels_each: int
 
-    def arrivals_m(self) -> tuple[Doubles, Doubles]:
+    def arrivals_m(self) -> tuple[Float64s, Float64s]:
         """(N, 3) each: where the echoes of the reverse paths and of the paths appear."""
         return arrivals_m(self.image_m, self.second_m)
 
 
-def arrivals_m(image_m: Doubles, second_m: Doubles) -> tuple[Doubles, Doubles]:
+def arrivals_m(image_m: Float64s, second_m: Float64s) -> tuple[Float64s, Float64s]:
     """(N, 3) each: at half the path, towards the mirror image and towards the surface."""
     image_range_m = lengths(image_m)
     second_range_m = lengths(second_m)
@@ -53,7 +51,7 @@ def arrivals_m(image_m: Doubles, second_m: Doubles) -> tuple[Doubles, Doubles]:
     )
 
 
-def lengths(points_m: Doubles) -> Doubles:
+def lengths(points_m: Float64s) -> Float64s:
     """(N,) distances of (N, 3) points from the origin, above 0."""
     x, y, z = points_m.T
     return np.asarray(np.maximum(np.sqrt(x * x + y * y + z * z), 1e-6))
@@ -70,7 +68,7 @@ def ghost_paths(surface: LitSurface) -> GhostPaths | None:
     across, down = frame.intrinsics.directions(*frame.depth_m.shape)
     depth_m = frame.depth_m.reshape(-1).astype(np.float64)
 
-    def place_m(pixel: npt.NDArray[np.int32]) -> Doubles:
+    def place_m(pixel: Int32s) -> Float64s:
         row, column = np.divmod(pixel, width)
         ray = np.stack([across[column], down[row], np.ones(len(pixel))], axis=-1)
         return mount.in_sonar_axes(ray * depth_m[pixel][:, None])

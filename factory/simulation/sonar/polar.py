@@ -7,13 +7,10 @@ from functools import cache, reduce
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Bools, Float32s, Float64s, Floats, Int32s
 from .settings import SonarSettings
 from .window import Window
-
-Polar = npt.NDArray[np.float32]
-Mask = npt.NDArray[np.bool_]
 
 # Bins smaller than the pixel grid of the camera leave pinholes up to this far from an echo.
 _PINHOLE_ROWS = 2
@@ -50,7 +47,7 @@ class PolarGrid(NamedTuple):
     """
 
     even: EvenGrid
-    edges_rad: Polar
+    edges_rad: Float32s
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,21 +60,21 @@ class Echoes:
     strength: (N,) float32 linear echo strength; 0 = a surface that the sound does not reach.
     """
 
-    range_m: Polar
-    azimuth_rad: Polar
-    elevation_rad: Polar
-    strength: Polar
+    range_m: Float32s
+    azimuth_rad: Float32s
+    elevation_rad: Float32s
+    strength: Float32s
 
     def __len__(self) -> int:
         return int(self.range_m.shape[0])
 
-    def range_in(self, window: Window) -> Polar:
+    def range_in(self, window: Window) -> Float32s:
         """(N,) float32 distance under the window's projection, metres."""
         if window.projection == "slant_range":
             return self.range_m
         return np.asarray(self.range_m * np.cos(self.elevation_rad), dtype=np.float32)
 
-    def xyz_m(self) -> npt.NDArray[np.float64]:
+    def xyz_m(self) -> Float64s:
         """(N, 3) Cartesian coordinates in sonar axes, metres."""
         range_m = self.range_m.astype(np.float64)
         ground_m = range_m * np.cos(self.elevation_rad)
@@ -87,7 +84,7 @@ class Echoes:
         return np.stack([forward_m, -right_m, up_m], axis=1)
 
 
-def from_xyz(points_m: npt.NDArray[np.floating], strength: npt.NDArray[np.floating]) -> Echoes:
+def from_xyz(points_m: Floats, strength: Floats) -> Echoes:
     """Return echoes at (N, 3) Cartesian points in sonar axes, metres, with (N,) strengths."""
     x, y, z = np.asarray(points_m).reshape(-1, 3).T
     ground_m = np.hypot(x, y)
@@ -100,9 +97,9 @@ def from_xyz(points_m: npt.NDArray[np.floating], strength: npt.NDArray[np.floati
 
 
 def in_plane(
-    range_m: npt.NDArray[np.floating],
-    azimuth_rad: npt.NDArray[np.floating],
-    strength: npt.NDArray[np.floating],
+    range_m: Floats,
+    azimuth_rad: Floats,
+    strength: Floats,
 ) -> Echoes:
     """Return echoes at elevation 0, for noise that is drawn at ranges and azimuths alone."""
     return Echoes(
@@ -113,7 +110,7 @@ def in_plane(
     )
 
 
-def bin_index(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.int32]:
+def bin_index(echoes: Echoes, window: Window, sonar: SonarSettings) -> Int32s:
     """Return the (N,) int32 flat index range_bin * beams + beam of each echo.
 
     range_bin = floor((distance - range_min) / range_span * range_bins), distance by the window's
@@ -141,7 +138,7 @@ def polar_grid(window: Window, sonar: SonarSettings) -> PolarGrid:
     return PolarGrid(even, ((centres_rad[1:] + centres_rad[:-1]) / 2).astype(np.float32))
 
 
-def count_echoes(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDArray[np.int32]:
+def count_echoes(echoes: Echoes, window: Window, rows: int, columns: int) -> Int32s:
     """Return the (rows, columns) int32 number of insonified echoes in each cell of the window.
 
     The cells divide the range window and the sector that the camera saw evenly.
@@ -162,7 +159,7 @@ def count_echoes(echoes: Echoes, window: Window, rows: int, columns: int) -> npt
     return echo_count[:-1].astype(np.int32).reshape(rows, columns)
 
 
-def _cell_of_each(echoes: Echoes, grid: PolarGrid) -> npt.NDArray[np.int32]:
+def _cell_of_each(echoes: Echoes, grid: PolarGrid) -> Int32s:
     """Return the (N,) int32 flat cell of each echo, rows * columns outside the grid."""
     from . import kernels  # loads numba
 
@@ -176,7 +173,7 @@ def _cell_of_each(echoes: Echoes, grid: PolarGrid) -> npt.NDArray[np.int32]:
     return cell_of_each
 
 
-def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echoes) -> Polar:
+def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echoes) -> Float32s:
     """Return the echo level of each bin: the mean, max or sum of its echoes' strengths.
 
     more: further echoes of the same cloud, which saves joining them.
@@ -201,7 +198,7 @@ def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echo
     return level[:-1].reshape(sonar.range_bins, sonar.beams)
 
 
-def spread_points(level: Polar, sonar: SonarSettings) -> Polar:
+def spread_points(level: Float32s, sonar: SonarSettings) -> Float32s:
     """Return the image blurred by the device's point-spread.
 
     Keeps the echo energy, except for what is spread beyond the border of the image.
@@ -216,7 +213,7 @@ def spread_points(level: Polar, sonar: SonarSettings) -> Polar:
 
 
 @cache
-def gaussian(sigma: float) -> npt.NDArray[np.float32]:
+def gaussian(sigma: float) -> Float32s:
     """Return (2 n + 1,) float32 Gaussian weights of `sigma` cells, cut at 3 sigma; sum 1."""
     reach = int(3 * sigma + 0.5)
     step = np.arange(-reach, reach + 1)
@@ -224,7 +221,7 @@ def gaussian(sigma: float) -> npt.NDArray[np.float32]:
     return np.asarray(weight / weight.sum(), dtype=np.float32)
 
 
-def covered(hit: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def covered(hit: Bools) -> Bools:
     """Return (range_bins, beams) bool: bins that some insonified surface fills.
 
     Closes pinholes, which are no shadow: bins without an echo because they are smaller than the
@@ -240,7 +237,7 @@ def covered(hit: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     return _reduce_boxes(np.logical_and, dilated, box_rows, box_beams)
 
 
-def _reduce_boxes(combine: np.ufunc, mask: Mask, box_rows: int, box_columns: int) -> Mask:
+def _reduce_boxes(combine: np.ufunc, mask: Bools, box_rows: int, box_columns: int) -> Bools:
     """Combine the values of each box that lies within the mask.
 
     Returns (height - box_rows + 1, width - box_columns + 1) bool, by the box's top left corner.
@@ -252,7 +249,7 @@ def _reduce_boxes(combine: np.ufunc, mask: Mask, box_rows: int, box_columns: int
     return np.asarray(reduce(combine, shifted))
 
 
-def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:
+def seen_beams(window: Window, sonar: SonarSettings) -> Bools:
     """Return (beams,) bool: beams within the part of the sector that the camera saw."""
     centres_rad = sonar.beam_centres_rad()
     half_beam_rad = np.deg2rad(sonar.hfov_deg) / sonar.beams / 2
@@ -261,7 +258,7 @@ def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:
     return np.asarray(ends_after_left_edge & begins_before_right_edge)
 
 
-def where_seen(image: Polar, window: Window, sonar: SonarSettings) -> Polar:
+def where_seen(image: Float32s, window: Window, sonar: SonarSettings) -> Float32s:
     """The (range_bins, beams) image, 0 in beams that the camera did not see."""
     is_seen = seen_beams(window, sonar)
     return image if is_seen.all() else np.where(is_seen, image, np.float32(0))

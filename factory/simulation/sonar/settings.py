@@ -6,10 +6,10 @@ from dataclasses import field
 from typing import Annotated, Literal, Self
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from ...common.array_types import Float64s
 from ...common.distribution import Altitude
 from ...common.distribution import Angle as DrawnAngle
 from ...common.limits import limited
@@ -204,7 +204,7 @@ class SonarSettings:
             raise ValueError("beam_azimuths_deg must lie within hfov_deg")
         return self
 
-    def beam_centres_rad(self) -> npt.NDArray[np.float64]:
+    def beam_centres_rad(self) -> Float64s:
         """(beams,) azimuth of each beam, radians, positive to the right."""
         return beam_centres_rad(self.hfov_deg, self.beams, self.beam_azimuths_deg)
 

@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Bools, Float32s, Float64s, Int32s
 from ..frames.frame import Frame
 from ..render.base import Mount, Rendered
 from . import array, polar
@@ -27,8 +27,6 @@ LABELLED_BEAM_DB = 20.0
 """Two-way loss of the vertical beam, dB, up to which echoes are labelled: the main lobe without
 its foot, and no sidelobe."""
 
-Pixels = npt.NDArray[np.int32]
-
 
 class Insonified(NamedTuple):
     """The lit surface inside a window.
@@ -39,8 +37,8 @@ class Insonified(NamedTuple):
     """
 
     echoes: Echoes
-    pixel: Pixels
-    hit: npt.NDArray[np.bool_]
+    pixel: Int32s
+    hit: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +157,7 @@ def insonified(
     return Insonified(echoes, pixel[:count], in_bins)
 
 
-def mount_weight(
-    frame: Frame, mount: Mount, exponent: float | npt.NDArray[np.float64]
-) -> npt.NDArray[np.float32]:
+def mount_weight(frame: Frame, mount: Mount, exponent: float | Float64s) -> Float32s:
     """(H, W) float32: what the render times a pixel's solid angle lacks of the sonar's echo.
 
     The render is albedo cos_s / r_s^2 with the sonar's incidence and range, a pixel sees the area

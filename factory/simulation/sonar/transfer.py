@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from ...common.array_types import Array, Float32s, Floats
 from .settings import TransferSettings
 
 # What a level is: decibels are 20 log10 of an amplitude, 10 log10 of an intensity.
@@ -15,9 +15,7 @@ Quantity = Literal["amplitude", "intensity"]
 _DECIBELS = {"amplitude": 20, "intensity": 10}
 
 
-def quantiles(
-    values: npt.NDArray[np.float32], fractions: Sequence[float], *, skip: int = 0
-) -> list[float]:
+def quantiles(values: Float32s, fractions: Sequence[float], *, skip: int = 0) -> list[float]:
     """The quantiles of (N,) float32 numbers, none of which is negative or NaN; N > skip.
 
     Between the values of the two nearest ranks, linearly, in double precision.
@@ -36,7 +34,7 @@ def quantiles(
 
 
 def full_scale(
-    clean: npt.NDArray[np.floating], transfer: TransferSettings, quantity: Quantity = "amplitude"
+    clean: Floats, transfer: TransferSettings, quantity: Quantity = "amplitude"
 ) -> float:
     """The echo level that becomes grey value 1, from the clean polar image.
 
@@ -59,11 +57,11 @@ def full_scale(
 
 
 def grey(
-    level: npt.NDArray[np.floating],
+    level: Floats,
     full_scale_level: float,
     transfer: TransferSettings,
     quantity: Quantity = "amplitude",
-) -> npt.NDArray[np.float32]:
+) -> Float32s:
     """Grey values in [0, 1], float32, same shape.
 
     log: y = clip((20 log10(A / A_ref) + DR) / DR, 0, 1) with DR = dynamic_range_db; 10 log10 of
@@ -87,10 +85,10 @@ def grey(
 
 
 def level_db(
-    grey_values: npt.NDArray[np.floating],
+    grey_values: Floats,
     transfer: TransferSettings,
     quantity: Quantity = "amplitude",
-) -> npt.NDArray[np.float32]:
+) -> Float32s:
     """Levels over full scale that grey values in [0, 1] show, dB, same shape: `grey` backwards.
 
     Black is as far below full scale as the display, or 8 bits, can tell.
@@ -109,7 +107,7 @@ def level_db(
     return np.asarray(per_decade / exponent * np.log10(visible), np.float32)
 
 
-def quantise(grey_values: npt.NDArray[np.floating], dtype: str) -> npt.NDArray[np.generic]:
+def quantise(grey_values: Floats, dtype: str) -> Array:
     """uint8 (0 to 255, rounded) or float32 (0 to 1)."""
     if dtype == "uint8":
         return np.asarray(np.rint(grey_values * 255), dtype=np.uint8)

@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from ...common import seeds
+from ...common.array_types import Float32s
 from ...common.errors import FrameError
 from ...dataset.frame_ref import FrameRef
 from .settings import SonarSettings
@@ -28,7 +26,7 @@ class Extent(NamedTuple):
     azimuth_min_rad, azimuth_max_rad: of its pixels, lit or not.
     """
 
-    lit_m: npt.NDArray[np.float32]
+    lit_m: Float32s
     azimuth_min_rad: float
     azimuth_max_rad: float
 

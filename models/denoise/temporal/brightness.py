@@ -10,7 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from .motion import Grey
+from ....factory.common.array_types import Array
 
 UNLIKE = 0.05
 """Relative difference of thumbnails up to which frames are alike; of the recordings that ship,
@@ -38,7 +38,7 @@ class Likeness(NamedTuple):
     difference: float
 
 
-def gain_of(grey: Grey, before: float) -> float:
+def gain_of(grey: Array, before: float) -> float:
     """Power of two by which an image is multiplied, so that its echoes fill the grey scale.
 
     grey: (H, W) in 0..1.  before: the gain of the image before, which is kept while it suits.
@@ -62,12 +62,12 @@ def gain_of(grey: Grey, before: float) -> float:
     return float(min(2.0 ** np.floor(np.log2(_WANTED / bright)), _MOST_GAIN))
 
 
-def gain_between(grey: Grey, other: Grey) -> Likeness:
+def gain_between(grey: Array, other: Array) -> Likeness:
     """How unlike two images of one scene, (H, W) in 0..1, are in brightness and besides."""
     return likeness_of(thumbnail_of(grey), thumbnail_of(other))
 
 
-def likeness_of(thumbnail: Grey, other: Grey) -> Likeness:
+def likeness_of(thumbnail: Array, other: Array) -> Likeness:
     """How unlike two thumbnails are in brightness and besides."""
     lit = np.minimum(thumbnail, other) > _DARK
     if np.count_nonzero(lit) < _LEAST_PARTS:
@@ -76,13 +76,13 @@ def likeness_of(thumbnail: Grey, other: Grey) -> Likeness:
     return Likeness(gain, difference(thumbnail * np.float32(gain), other))
 
 
-def thumbnail_of(grey: Grey) -> Grey:
+def thumbnail_of(grey: Array) -> Array:
     """Means of the parts of an image, (H, W)."""
     height, width = (min(_THUMBNAIL_PX, max(side // _PART_PX, 1)) for side in grey.shape)
     return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def difference(thumbnail: Grey, other: Grey) -> float:
+def difference(thumbnail: Array, other: Array) -> float:
     """Median relative difference of two thumbnails where one of them is lit, 0 to 1."""
     lit = np.maximum(thumbnail, other) > _DARK
     if np.count_nonzero(lit) < _LEAST_PARTS:

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from .motion import Grey, blurred, factors, grey_of, reduced
+from ....factory.common.array_types import Array, Bools
+from .motion import blurred, factors, grey_of, reduced
 from .noise_level import NoiseByLevel, RunningSpread
 from .tracking import MAX_OFFSET, Tracks, find_tracks, mean_along
 
@@ -53,8 +53,8 @@ class Neighbour:
     """
 
     offset: int
-    levels: Grey
-    visible: Grey
+    levels: Array
+    visible: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +66,9 @@ class FusedFrame:
     static_share: (H, W) in 0..1; 0 where something moves.
     """
 
-    image: Grey
-    frame_count: Grey
-    static_share: Grey
+    image: Array
+    frame_count: Array
+    static_share: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +79,9 @@ class _Reduced:
     neighbours: each of them, replaced by the frame where it is not visible.
     """
 
-    frame: Grey
-    median: Grey
-    neighbours: list[Grey]
+    frame: Array
+    median: Array
+    neighbours: list[Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +93,8 @@ class _Targets:
     """
 
     tracks: Tracks
-    gate: Grey
-    faint: dict[int, Grey]
+    gate: Array
+    faint: dict[int, Array]
 
 
 class _NoiseSample(NamedTuple):
@@ -104,7 +104,7 @@ class _NoiseSample(NamedTuple):
     """
 
     neighbour: int
-    grey: Grey
+    grey: Array
 
 
 class Fusion:
@@ -120,7 +120,7 @@ class Fusion:
         self._score_spread = RunningSpread()
         self.noise = NoiseByLevel()
 
-    def __call__(self, frame: Grey, neighbours: Sequence[Neighbour]) -> FusedFrame:
+    def __call__(self, frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
         """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""
         grey = grey_of(frame)
         if not neighbours:
@@ -158,7 +158,7 @@ class Fusion:
             return fused
         return _with_targets(fused, frame, neighbours, agrees_with_median, targets)
 
-    def shows_same(self, fused: FusedFrame, later: Grey, visible: Grey) -> npt.NDArray[np.bool_]:
+    def shows_same(self, fused: FusedFrame, later: Array, visible: Array) -> Bools:
         """Where another frame, (H, W), shows the static scene that was fused.
 
         Excludes pixels where something moves in either frame: calibration would mistake the motion
@@ -181,13 +181,13 @@ class Fusion:
         self._frames_seen += 1
         return index
 
-    def _measure_noise(self, grey: Grey, neighbour: Neighbour) -> None:
+    def _measure_noise(self, grey: Array, neighbour: Neighbour) -> None:
         """Learn the noise of a pixel from the difference of a frame and a neighbour."""
         difference = (grey_of(neighbour.levels) - grey) * np.float32(np.sqrt(0.5))
         self.noise.add(difference, grey * neighbour.visible)
 
     def _find_targets(
-        self, small: _Reduced, from_median: Sequence[Grey], neighbours: Sequence[Neighbour]
+        self, small: _Reduced, from_median: Sequence[Array], neighbours: Sequence[Neighbour]
     ) -> _Targets:
         """Find the objects that move along paths through the window."""
         lit = small.median > _DARK
@@ -218,8 +218,8 @@ class _Agreement:
         self._wide_noise = NoiseByLevel()
 
     def compute(
-        self, differences: Sequence[Grey], grey: Grey, noise_sample: _NoiseSample | None
-    ) -> list[Grey]:
+        self, differences: Sequence[Array], grey: Array, noise_sample: _NoiseSample | None
+    ) -> list[Array]:
         """1 up to the limit in both windows, then falling to 0; (h, w) for each difference.
 
         differences: (h, w) each, from planes of grey values `grey`.
@@ -246,7 +246,7 @@ class _Agreement:
         return agreement
 
 
-def median(planes: Sequence[Grey]) -> Grey:
+def median(planes: Sequence[Array]) -> Array:
     """Median of planes, pixel by pixel, by a network of minima and maxima."""
     values = list(planes)
     count = len(values)
@@ -260,7 +260,7 @@ def median(planes: Sequence[Grey]) -> Grey:
     return (values[count // 2] + values[count // 2 - 1]) / np.float32(2)
 
 
-def _reduce(grey: Grey, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list[Grey]]:
+def _reduce(grey: Array, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list[Array]]:
     """The frames reduced and blurred, and where each neighbour is visible there, 0 or 1."""
     frame = blurred(reduced(grey), _SMALL_SIGMA_PX)
     visible = []
@@ -274,14 +274,14 @@ def _reduce(grey: Grey, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list
     return _Reduced(frame, median([*planes, frame]), planes), visible
 
 
-def _smooth(weight: Grey) -> Grey:
+def _smooth(weight: Array) -> Array:
     """Erode and blur a weight, so that it is 0 already beside a pixel that disagrees."""
     return cv2.blur(cv2.erode(weight, np.ones((3, 3), np.uint8)), (3, 3))
 
 
 def _weighted_mean(
-    frame: Grey, frame_weight: Grey, neighbours: Sequence[Neighbour], weights: Sequence[Grey]
-) -> tuple[Grey, Grey]:
+    frame: Array, frame_weight: Array, neighbours: Sequence[Neighbour], weights: Sequence[Array]
+) -> tuple[Array, Array]:
     """Mean of a frame and its neighbours, and (H, W) how many frames count in it effectively.
 
     frame_weight: (H, W).  weights: (h, w) reduced, of each neighbour.
@@ -302,9 +302,9 @@ def _weighted_mean(
 
 def _with_targets(
     fused: FusedFrame,
-    frame: Grey,
+    frame: Array,
     neighbours: Sequence[Neighbour],
-    agrees_with_median: Sequence[Grey],
+    agrees_with_median: Sequence[Array],
     targets: _Targets,
 ) -> FusedFrame:
     """A fused frame that shows each moving target as its mean along its path.
@@ -320,7 +320,7 @@ def _with_targets(
     return FusedFrame(np.clip(image, 0, 1), fused.frame_count, fused.static_share * (1 - gate))
 
 
-def _explained(deviation: Grey, path_mean: Grey) -> Grey:
+def _explained(deviation: Array, path_mean: Array) -> Array:
     """1 where the mean along a path explains the frame's deviation, else down to 0; (h, w).
 
     It does not at a bright object on another path, which the frame shows itself.
@@ -330,15 +330,15 @@ def _explained(deviation: Grey, path_mean: Grey) -> Grey:
     return cv2.erode(explained, np.ones((3, 3), np.uint8))
 
 
-def _faint(deviation: Grey) -> Grey:
+def _faint(deviation: Array) -> Array:
     """1 where a deviation, (h, w), and all beside it are less than `_OBVIOUS`, else 0."""
     faint = (np.abs(deviation) < _OBVIOUS).astype(np.float32)
     return cv2.erode(faint, np.ones((5, 5), np.uint8))
 
 
 def _mean_target(
-    frame: Grey, scene: Grey, neighbours: Sequence[Neighbour], targets: _Targets
-) -> Grey:
+    frame: Array, scene: Array, neighbours: Sequence[Neighbour], targets: _Targets
+) -> Array:
     """Mean deviation from the scene along the path through each pixel, as the scene in shape."""
     shape = frame.shape[:2]
     down, right = factors(shape)
@@ -354,7 +354,7 @@ def _mean_target(
     return mean_along(deviations, velocity_px)
 
 
-def _enlarge(plane: Grey, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR) -> Grey:
+def _enlarge(plane: Array, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR) -> Array:
     """A reduced plane, (h, w) or (h, w, C), at the size of the frames, (H, W)."""
     height, width = shape[:2]
     down, right = factors(shape[:2])
@@ -366,6 +366,6 @@ def _enlarge(plane: Grey, shape: tuple[int, ...], interpolation: int = cv2.INTER
     return np.pad(enlarged, margin[: enlarged.ndim], mode="edge")
 
 
-def _like(plane: Grey, frame: Grey) -> Grey:
+def _like(plane: Array, frame: Array) -> Array:
     """A plane, (H, W), that multiplies a frame of one plane or of several channels."""
     return plane if frame.ndim == 2 else plane[..., None]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ....factory.common.array_types import Array
 from .kinds import Kind, KindFinder
-from .motion import Grey
 from .repeated import Unrepeated
 from .stream import InTime, Network, SequenceFrame
 from .strength import Strength
@@ -30,10 +30,10 @@ class _Ticket:
 
     place: int
     key: Any
-    levels: Grey
+    levels: Array
     gain: float
 
-    def restored(self, denoised: Grey) -> Grey:
+    def restored(self, denoised: Array) -> Array:
         """What became of the levels, without the gain; what is brighter than its scale stays."""
         if self.gain == 1:
             return denoised
@@ -70,25 +70,25 @@ class Interleaved:
         self._finder = KindFinder(looks_ahead)
         self._streams: dict[Kind, _KindStream] = {}
         self._place = 0
-        self._finished: dict[int, tuple[Any, Grey]] = {}
+        self._finished: dict[int, tuple[Any, Array]] = {}
         self._order: deque[int] = deque()  # places of the frames whose results are to come
         self._kinds: list[Kind] = []  # the first ones
         self._kind_count = 0
         self._ended: Strength | None = None  # of the kind that it was fitted to most often
 
-    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Grey]]:
+    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Array]]:
         """Take the next frame; the key of each that is denoised by now and its levels, in order."""
         self._pass_on(self._finder.push(shot))
         yield from self._in_order()
 
-    def finish(self) -> Iterator[tuple[Any, Grey]]:
+    def finish(self) -> Iterator[tuple[Any, Array]]:
         """Yield all frames that are left; the sequence has ended."""
         self._pass_on(self._finder.finish())
         for kind in list(self._streams):
             self._end(kind)
         yield from self._in_order()
 
-    def settle(self) -> Iterator[tuple[Any, Grey]]:
+    def settle(self) -> Iterator[tuple[Any, Array]]:
         """Yield the frames that are still being denoised; see `InTime.settle`."""
         for stream in self._streams.values():
             self._keep(stream.frames.settle())
@@ -195,11 +195,11 @@ class Interleaved:
         if self._ended is None or strength.measured > self._ended.measured:
             self._ended = strength
 
-    def _keep(self, results: Iterable[tuple[Any, Grey]]) -> None:
+    def _keep(self, results: Iterable[tuple[Any, Array]]) -> None:
         for ticket, denoised in results:
             self._finished[ticket.place] = ticket.key, ticket.restored(denoised)
 
-    def _in_order(self) -> Iterator[tuple[Any, Grey]]:
+    def _in_order(self) -> Iterator[tuple[Any, Array]]:
         while self._order and self._order[0] in self._finished:
             yield self._finished.pop(self._order.popleft())
 

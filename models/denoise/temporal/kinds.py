@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ....factory.common.array_types import Array
 from ...recordings.device_settings import DeviceSettings
 from .brightness import UNLIKE, difference, gain_of, likeness_of, thumbnail_of
-from .motion import Grey, grey_of
+from .motion import grey_of
 from .stream import SequenceFrame
 
 _MUCH_CLOSER = 0.5  # times the difference from the frame before
@@ -35,7 +36,7 @@ class Kind:
     settings: DeviceSettings
     gain: float
     shape: tuple[int, ...]
-    thumbnail: Grey
+    thumbnail: Array
     first: int
     last: int
     count: int = 0
@@ -53,7 +54,7 @@ class _Look:
 
     number: int
     shot: SequenceFrame
-    thumbnail: Grey
+    thumbnail: Array
     gain: float
 
 

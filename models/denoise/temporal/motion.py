@@ -17,11 +17,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-Grey = npt.NDArray[Any]
-"""float32; OpenCV's types do not say so."""
-Floats = npt.NDArray[np.float64]
+from ....factory.common.array_types import Array, Float64s
 
 ALIKE = 0.33
 """Frames whose band-passed images correlate less show something else."""
@@ -50,8 +47,8 @@ class Motion:
     flow: (rows, columns, 2) what blocks moved besides; None: nothing.
     """
 
-    affine: Floats
-    flow: Grey | None
+    affine: Float64s
+    flow: Array | None
 
     def inverse(self, shape: tuple[int, int]) -> Motion:
         """Where the pixels of the other lie in this one.  shape: of the reduced images."""
@@ -67,17 +64,17 @@ class AlignmentView:
     grey: (H, W) in 0..1.  shift_px: see `Aligner.add`.
     """
 
-    def __init__(self, grey: Grey, shift_px: tuple[float, float] | None) -> None:
+    def __init__(self, grey: Array, shift_px: tuple[float, float] | None) -> None:
         self.full_shape = grey.shape
         self.shift_px = shift_px
         small = np.sqrt(np.maximum(reduced(grey), 0))  # noise grows with the level
         lit = (cv2.blur(small, (7, 7)) > np.sqrt(_LIT)).astype(np.float32)
-        self.lit: Grey = cv2.erode(
+        self.lit: Array = cv2.erode(
             lit, np.ones((7, 7), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=(1.0,)
         )
         share = np.maximum(cv2.blur(self.lit, (21, 21)), 1e-3)
         around = cv2.blur(small * self.lit, (21, 21)) / share
-        self.band: Grey = (blurred(small, 1.0) - around) * self.lit
+        self.band: Array = (blurred(small, 1.0) - around) * self.lit
         self.shape: tuple[int, int] = self.band.shape
 
     def __getstate__(self) -> dict[str, Any]:
@@ -86,14 +83,14 @@ class AlignmentView:
         return {name: value for name, value in self.__dict__.items() if name not in computed}
 
     @cached_property
-    def slopes(self) -> tuple[Grey, Grey]:
+    def slopes(self) -> tuple[Array, Array]:
         """Of the band along x and y."""
         along = cv2.Sobel(self.band, cv2.CV_32F, 1, 0, scale=1 / 8)
         down = cv2.Sobel(self.band, cv2.CV_32F, 0, 1, scale=1 / 8)
         return along * self.lit, down * self.lit
 
     @cached_property
-    def steepest(self) -> tuple[Grey, Floats]:
+    def steepest(self) -> tuple[Array, Float64s]:
         """Change of each pixel with each number of a motion, (6, pixels), and its Hessian."""
         along, down = self.slopes
         height, width = self.shape
@@ -107,11 +104,11 @@ class AlignmentView:
         return change, np.einsum("ik,jk->ij", change, change).astype(np.float64)
 
     @cached_property
-    def spectrum(self) -> Grey:
+    def spectrum(self) -> Array:
         """Of the band, faded out at the edges."""
         height, width = self.shape
         padded = np.zeros((cv2.getOptimalDFTSize(height), cv2.getOptimalDFTSize(width)), np.float32)
-        faded: Grey = np.outer(np.hanning(height), np.hanning(width)).astype(np.float32)
+        faded: Array = np.outer(np.hanning(height), np.hanning(width)).astype(np.float32)
         padded[:height, :width] = self.band * faded
         return cv2.dft(padded, flags=cv2.DFT_COMPLEX_OUTPUT)
 
@@ -128,7 +125,7 @@ class Aligner:
         self._motions: dict[tuple[int, int], Motion | None] = {}
         self._last = np.zeros(6)
 
-    def add(self, number: int, grey: Grey, shift_px: tuple[float, float] | None = None) -> None:
+    def add(self, number: int, grey: Array, shift_px: tuple[float, float] | None = None) -> None:
         """The next frame, (H, W) in 0..1.
 
         shift_px: how far right and down what the frame before saw lies now, where a compass tells
@@ -164,7 +161,7 @@ class Aligner:
             self._last = affine
         return Motion(affine, _block_flow(view, neighbour_view, affine))
 
-    def _starts(self, number: int, neighbour: int) -> list[Floats]:
+    def _starts(self, number: int, neighbour: int) -> list[Float64s]:
         """By way of a frame between both, else by all that can be known."""
         view = self._views[number]
         neighbour_view = self._views[neighbour]
@@ -183,7 +180,7 @@ class Aligner:
         return starts
 
 
-def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey]:
+def laid_over(grey: Array, motion: Motion) -> tuple[Array, Array]:
     """A frame as it looks where the other one was taken, and where it shows that, (H, W) of 0 or 1.
 
     grey: (H, W) or (H, W, C).  Whole pixels are copied, others interpolated (bicubic).
@@ -219,12 +216,12 @@ def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey]:
     return np.clip(laid, 0, 1), (shown > -0.05).astype(np.float32)
 
 
-def grey_of(levels: Grey) -> Grey:
+def grey_of(levels: Array) -> Array:
     """(H, W) of (H, W) or (H, W, C): the mean of the colours."""
     return levels if levels.ndim == 2 else levels.mean(axis=2, dtype=np.float32)
 
 
-def reduced(grey: Grey) -> Grey:
+def reduced(grey: Array) -> Array:
     """Half as large, means of neighbours, along sides long enough."""
     down, right = factors(grey.shape)
     if down == right == 1:
@@ -235,12 +232,12 @@ def reduced(grey: Grey) -> Grey:
     return cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def blurred(grey: Grey, sigma: float) -> Grey:
+def blurred(grey: Array, sigma: float) -> Array:
     """With a Gaussian window."""
     return cv2.GaussianBlur(grey, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
 
 
-def length_of(across: Grey, down: Grey) -> Grey:
+def length_of(across: Array, down: Array) -> Array:
     """Of vectors.  OpenCV's own rounds by where the arrays lie in memory: never twice the same."""
     return np.sqrt(across * across + down * down)
 
@@ -252,8 +249,8 @@ def factors(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _affine_motion(
-    view: AlignmentView, neighbour_view: AlignmentView, starts: Sequence[Floats]
-) -> tuple[Floats, float]:
+    view: AlignmentView, neighbour_view: AlignmentView, starts: Sequence[Float64s]
+) -> tuple[Float64s, float]:
     """The simplest affine motion that explains the frame, and the correlation that it leaves."""
     none = np.zeros(6)
     still = _correlation(view.band, neighbour_view.band)
@@ -282,7 +279,7 @@ def _affine_motion(
     return chosen, best
 
 
-def _refined(view: AlignmentView, neighbour_view: AlignmentView, affine: Floats) -> Floats:
+def _refined(view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s) -> Float64s:
     change, hessian = view.steepest
     for _ in range(_STEPS):
         residual, noise = _residual(view, neighbour_view, affine)
@@ -297,7 +294,9 @@ def _refined(view: AlignmentView, neighbour_view: AlignmentView, affine: Floats)
     return affine
 
 
-def _block_flow(view: AlignmentView, neighbour_view: AlignmentView, affine: Floats) -> Grey | None:
+def _block_flow(
+    view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s
+) -> Array | None:
     """What blocks move besides, where that is beyond doubt; (rows, columns, 2)."""
     along, down = view.slopes
     residual, noise = _residual(view, neighbour_view, affine)
@@ -306,7 +305,7 @@ def _block_flow(view: AlignmentView, neighbour_view: AlignmentView, affine: Floa
     rows = max(height // _CELL, 1)
     area = height * width / (rows * columns)
 
-    def sums(plane: Grey) -> Grey:
+    def sums(plane: Array) -> Array:
         """Over blocks of three cells, one a cell."""
         cells = cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA)
         return cv2.blur(cells, (3, 3), borderType=cv2.BORDER_REFLECT) * np.float32(9 * area)
@@ -317,7 +316,7 @@ def _block_flow(view: AlignmentView, neighbour_view: AlignmentView, affine: Floa
     xy = sums(along * down)
     x = sums(along * residual)
     y = sums(down * residual)
-    determinant: Grey = xx * yy - xy * xy
+    determinant: Array = xx * yy - xy * xy
     right = -(yy * x - xy * y) / determinant
     lower = -(xx * y - xy * x) / determinant
     sure = -(right * x + lower * y) > _BLOCK_SURE * noise
@@ -328,8 +327,8 @@ def _block_flow(view: AlignmentView, neighbour_view: AlignmentView, affine: Floa
 
 
 def _residual(
-    view: AlignmentView, neighbour_view: AlignmentView, affine: Floats
-) -> tuple[Grey, float]:
+    view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s
+) -> tuple[Array, float]:
     """The difference that a motion leaves, clipped where objects move, and its noise power."""
     residual = (_warp(neighbour_view.band, affine) - view.band) * view.lit
     lit = view.lit.ravel()[::7] > 0
@@ -338,7 +337,7 @@ def _residual(
     return np.clip(residual, -2.5 * sigma, 2.5 * sigma), _GRAIN * sigma * sigma
 
 
-def _correlation(band: Grey, neighbour_band: Grey) -> float:
+def _correlation(band: Array, neighbour_band: Array) -> float:
     """Where both show something; -1 where that is too little."""
     both = ((band != 0) & (neighbour_band != 0)).astype(np.float32)
     if float(both.sum()) < 0.25 * max(np.count_nonzero(band), 1):
@@ -349,11 +348,11 @@ def _correlation(band: Grey, neighbour_band: Grey) -> float:
     return _dot(first, second) / max(math.sqrt(power), 1e-12)
 
 
-def _dot(first: Grey, second: Grey) -> float:
+def _dot(first: Array, second: Array) -> float:
     return float(np.einsum("ij,ij->", first, second))
 
 
-def _phase_shift(view: AlignmentView, neighbour_view: AlignmentView) -> Floats:
+def _phase_shift(view: AlignmentView, neighbour_view: AlignmentView) -> Float64s:
     """The shift with the highest phase correlation (Kuglin and Hines 1975), in whole pixels."""
     cross = cv2.mulSpectrums(neighbour_view.spectrum, view.spectrum, 0, conjB=True)
     magnitude = np.maximum(length_of(cross[..., 0], cross[..., 1]), 1e-12)
@@ -365,7 +364,7 @@ def _phase_shift(view: AlignmentView, neighbour_view: AlignmentView) -> Floats:
     return np.array([column - right, row - down, 0, 0, 0, 0], np.float64)
 
 
-def _warp(band: Grey, affine: Floats, interpolation: int = cv2.INTER_LINEAR) -> Grey:
+def _warp(band: Array, affine: Float64s, interpolation: int = cv2.INTER_LINEAR) -> Array:
     if not affine.any():
         return band
     matrix = _matrix(affine, band.shape)[:2]
@@ -373,7 +372,7 @@ def _warp(band: Grey, affine: Floats, interpolation: int = cv2.INTER_LINEAR) -> 
     return cv2.warpAffine(band, matrix, size, flags=interpolation | cv2.WARP_INVERSE_MAP)
 
 
-def _matrix(affine: Floats, shape: tuple[int, ...]) -> Floats:
+def _matrix(affine: Float64s, shape: tuple[int, ...]) -> Float64s:
     """(3, 3) pixel -> where it lies in the other frame."""
     middle = _middle(shape)
     turn = np.eye(2) + affine[2:].reshape(2, 2) / (shape[1] / 2)
@@ -382,14 +381,14 @@ def _matrix(affine: Floats, shape: tuple[int, ...]) -> Floats:
     return matrix
 
 
-def _affine(matrix: Floats, shape: tuple[int, ...]) -> Floats:
+def _affine(matrix: Float64s, shape: tuple[int, ...]) -> Float64s:
     """The reverse of `_matrix`."""
     middle = _middle(shape)
     turn = matrix[:2, :2]
     shift = matrix[:2, 2] - middle + turn @ middle
-    affine: Floats = np.r_[shift, ((turn - np.eye(2)) * (shape[1] / 2)).ravel()]
+    affine: Float64s = np.r_[shift, ((turn - np.eye(2)) * (shape[1] / 2)).ravel()]
     return affine
 
 
-def _middle(shape: tuple[int, ...]) -> Floats:
+def _middle(shape: tuple[int, ...]) -> Float64s:
     return np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])

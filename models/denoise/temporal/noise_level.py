@@ -7,7 +7,7 @@ import itertools
 import cv2
 import numpy as np
 
-from .motion import Floats, Grey
+from ....factory.common.array_types import Array, Float64s
 
 _LEVELS = 32  # classes of grey value, even in its root: a dark image has several, too
 _MIN_PIXELS = 20  # of a class in one frame
@@ -25,7 +25,7 @@ class NoiseByLevel:
         self._weighted_sigma = np.zeros(_LEVELS)
         self._pixels = np.zeros(_LEVELS)
 
-    def add(self, deviation: Grey, grey: Grey) -> None:
+    def add(self, deviation: Array, grey: Array) -> None:
         """Measure deviations, (h, w), at pixels of grey values in 0..1, (h, w)."""
         sampled_grey = grey[::_STRIDE, ::_STRIDE]
         root = np.sqrt(np.clip(sampled_grey, 0, 1))
@@ -42,7 +42,7 @@ class NoiseByLevel:
             self._weighted_sigma[number] += sigma * count
             self._pixels[number] += count
 
-    def at(self, grey: Grey) -> Grey:
+    def at(self, grey: Array) -> Array:
         """Standard deviation, (h, w) float32, at pixels of grey values in 0..1, (h, w)."""
         known = self._pixels > 0
         if not known.any():
@@ -52,7 +52,7 @@ class NoiseByLevel:
             middles, middles[known], self._weighted_sigma[known] / self._pixels[known]
         )
         pixels = np.interp(middles, middles[known], self._pixels[known])
-        power: Floats = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), _KERNEL, "valid")
+        power: Float64s = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), _KERNEL, "valid")
         power = power / np.convolve(np.pad(pixels, 2, mode="edge"), _KERNEL, "valid")
         fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
         table = np.maximum(fine, _MIN_SIGMA).astype(np.float32)
@@ -68,7 +68,7 @@ class RunningSpread:
         self._sigma = 0.0
         self._frames = 0
 
-    def standardise(self, values: Grey, measured: Grey) -> Grey:
+    def standardise(self, values: Array, measured: Array) -> Array:
         """(h, w): values in standard deviations above their median.
 
         measured: (h, w) bool, the pixels that are measured; with fewer than 20 of them nothing is.

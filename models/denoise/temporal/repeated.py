@@ -10,8 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ....factory.common.array_types import Array
 from ...recordings.repeats import RepeatFinder
-from .motion import Grey, grey_of
+from .motion import grey_of
 from .stream import InTime, SequenceFrame, outside_of
 
 _MOST_COPIES = 64
@@ -28,7 +29,7 @@ class _Run:
     """
 
     shot: SequenceFrame
-    copies: deque[tuple[Any, Grey | None]] = field(default_factory=deque)
+    copies: deque[tuple[Any, Array | None]] = field(default_factory=deque)
     count: int = 0
 
 
@@ -45,15 +46,15 @@ class Unrepeated:
         self._runs: deque[_Run] = deque()  # whose results are to come
         self._newest: _Run | None = None
         self._waits = False  # whether the newest frame waits for a copy that is wanted
-        self._last: tuple[_Run, Grey] | None = None  # the last result
+        self._last: tuple[_Run, Array] | None = None  # the last result
 
-    def __call__(self, shots: Iterable[SequenceFrame]) -> Iterator[tuple[Any, Grey]]:
+    def __call__(self, shots: Iterable[SequenceFrame]) -> Iterator[tuple[Any, Array]]:
         """The key of each frame that is wanted and its levels, denoised, in order."""
         for shot in shots:
             yield from self.push(shot)
         yield from self.finish()
 
-    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Grey]]:
+    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Array]]:
         """Take the next frame; yields those that are denoised by now, a copy at once."""
         is_repeat = self._finder.is_repeat(grey_of(shot.levels))
         newest = self._newest
@@ -69,16 +70,16 @@ class Unrepeated:
         if not self._waits:
             yield from self._pass_on(self._newest)
 
-    def settle(self) -> Iterator[tuple[Any, Grey]]:
+    def settle(self) -> Iterator[tuple[Any, Array]]:
         """See `InTime.settle`."""
         yield from self._results(self._stream.settle())
 
-    def flush(self) -> Iterator[tuple[Any, Grey]]:
+    def flush(self) -> Iterator[tuple[Any, Array]]:
         """See `InTime.flush`."""
         yield from self._pass_waiting()
         yield from self._results(self._stream.flush())
 
-    def finish(self) -> Iterator[tuple[Any, Grey]]:
+    def finish(self) -> Iterator[tuple[Any, Array]]:
         """See `InTime.finish`."""
         yield from self._pass_waiting()
         yield from self._results(self._stream.finish())
@@ -93,19 +94,19 @@ class Unrepeated:
         """See `InTime.close`."""
         self._stream.close()
 
-    def _pass_waiting(self) -> Iterator[tuple[Any, Grey]]:
+    def _pass_waiting(self) -> Iterator[tuple[Any, Array]]:
         if self._newest is not None and self._waits:
             self._waits = False
             yield from self._pass_on(self._newest)
 
-    def _pass_on(self, run: _Run) -> Iterator[tuple[Any, Grey]]:
+    def _pass_on(self, run: _Run) -> Iterator[tuple[Any, Array]]:
         """Give the frame of a run to the stream, wanted where a copy is."""
         wanted = run.shot.wanted or bool(run.copies)
         if wanted:
             self._runs.append(run)
         yield from self._results(self._stream.push(replace(run.shot, wanted=wanted)))
 
-    def _results(self, denoised: Iterable[tuple[Any, Grey]]) -> Iterator[tuple[Any, Grey]]:
+    def _results(self, denoised: Iterable[tuple[Any, Array]]) -> Iterator[tuple[Any, Array]]:
         """Each result of the stream, where its frame is wanted, and those of its copies."""
         for key, levels in denoised:
             run = self._runs.popleft()
@@ -121,13 +122,13 @@ class Unrepeated:
             is_exact = np.array_equal(shot.levels, run.shot.levels)
             run.copies.append((shot.key, None if is_exact else shot.levels))
 
-    def _copies(self, run: _Run, denoised: Grey) -> Iterator[tuple[Any, Grey]]:
+    def _copies(self, run: _Run, denoised: Array) -> Iterator[tuple[Any, Array]]:
         while run.copies:
             key, levels = run.copies.popleft()
             yield key, denoised if levels is None else _of_copy(run.shot, denoised, levels)
 
 
-def _of_copy(shot: SequenceFrame, denoised: Grey, levels: Grey) -> Grey:
+def _of_copy(shot: SequenceFrame, denoised: Array, levels: Array) -> Array:
     """What was made of a frame, with what its copy shows besides: a clock, pixels around the fan.
 
     shot: the frame.  levels: of the copy.

@@ -15,14 +15,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ....factory.common.array_types import Array, Bools
 from ....factory.dataset.fan_geometry import FanGeometry
 from ...recordings.device_settings import DeviceSettings
 from ..saturated import with_saturated
 from .brightness import UNLIKE, gain_between
 from .fusion import FusedFrame, Fusion, Neighbour
-from .motion import Aligner, Grey, grey_of, laid_over
+from .motion import Aligner, grey_of, laid_over
 from .strength import Predictors, Strength, Weights
 
 FRAMES = 7
@@ -36,7 +36,7 @@ _SAME_GAIN = 0.04
 most in the recordings that ship."""
 _FULL_WINDOW = 0.8  # share of the highest frame count from which on a pixel has a whole window
 
-Network = Callable[..., Grey]
+Network = Callable[..., Array]
 """Denoises an image, (H, W) float32 in 0..1, with its `FanGeometry` or None; see `Denoiser`.
 
 One with a true attribute `knows_frames` also gets `frames`, (H, W): how many frames were
@@ -58,7 +58,7 @@ class SequenceFrame:
     """
 
     key: Any
-    levels: Grey
+    levels: Array
     place: Callable[[], FanGeometry | None] = lambda: None
     shift_px: tuple[float, float] | None = None
     wanted: bool = True
@@ -67,7 +67,7 @@ class SequenceFrame:
 
 
 @lru_cache(maxsize=8)
-def outside_of(geometry: FanGeometry, height: int, width: int) -> npt.NDArray[np.bool_]:
+def outside_of(geometry: FanGeometry, height: int, width: int) -> Bools:
     """(H, W), the pixels that are not in the sector."""
     return np.asarray(geometry.maps(0, 0, height, width)["sector"] <= 0)
 
@@ -82,7 +82,7 @@ class _FusedFrame:
     """
 
     fused: FusedFrame
-    sigma: Grey
+    sigma: Array
     geometry: FanGeometry | None
     predictors: Predictors | None = None
 
@@ -142,15 +142,15 @@ class InTime:
 
         self._pool = ThreadPoolExecutor(at_once)
         self._max_pending = at_once if at_once > 1 else 0
-        self._pending: deque[tuple[Any, Future[Grey]]] = deque()
+        self._pending: deque[tuple[Any, Future[Array]]] = deque()
 
-    def __call__(self, shots: Iterable[SequenceFrame]) -> Iterator[tuple[Any, Grey]]:
+    def __call__(self, shots: Iterable[SequenceFrame]) -> Iterator[tuple[Any, Array]]:
         """The key of each frame and its levels, denoised, in order."""
         for shot in shots:
             yield from self.push(shot)
         yield from self.finish()
 
-    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Grey]]:
+    def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Array]]:
         """Take the next frame; yields the key and the levels of each that is denoised by now."""
         self._newest += 1
         self._shots[self._newest] = shot
@@ -161,7 +161,7 @@ class InTime:
         while self._next <= self._newest - self._lookahead():
             yield from self._denoise_next()
 
-    def settle(self) -> Iterator[tuple[Any, Grey]]:
+    def settle(self) -> Iterator[tuple[Any, Array]]:
         """Yield the frames that are still being denoised; the stream can be pickled then."""
         yield from self._finished(0)
 
@@ -180,13 +180,13 @@ class InTime:
         """The frames that are in memory."""
         yield from self._shots.values()
 
-    def flush(self) -> Iterator[tuple[Any, Grey]]:
+    def flush(self) -> Iterator[tuple[Any, Array]]:
         """Yield all frames that are left, as no more of them come for some time."""
         while self._next <= self._newest:
             yield from self._denoise_next()
         yield from self._finished(0)
 
-    def finish(self) -> Iterator[tuple[Any, Grey]]:
+    def finish(self) -> Iterator[tuple[Any, Array]]:
         """Yield all frames that are left; the sequence has ended."""
         yield from self.flush()
         self.close()
@@ -206,7 +206,7 @@ class InTime:
         # Every later one takes a frame beyond the window as its target.
         return self._after + 1
 
-    def _denoise_next(self) -> Iterator[tuple[Any, Grey]]:
+    def _denoise_next(self) -> Iterator[tuple[Any, Array]]:
         """Fuse the next frame and start its denoising; yield the frames that are finished."""
         number = self._next
         if self._calibrated:
@@ -225,7 +225,7 @@ class InTime:
         self._shots.pop(number - self._before - 1, None)
         yield from self._finished(self._max_pending)
 
-    def _finished(self, max_pending: int) -> Iterator[tuple[Any, Grey]]:
+    def _finished(self, max_pending: int) -> Iterator[tuple[Any, Array]]:
         """Yield denoised frames, in order, until at most `max_pending` are being denoised."""
         while len(self._pending) > max_pending:
             key, denoised = self._pending.popleft()
@@ -257,7 +257,7 @@ class InTime:
         geometry = self._geometry(number) if self._network is not None else None
         return _FusedFrame(fused, self._sigma(fused.image, fused.frame_count), geometry)
 
-    def _aligned(self, number: int, neighbour: int) -> tuple[Grey, Grey] | None:
+    def _aligned(self, number: int, neighbour: int) -> tuple[Array, Array] | None:
         """Levels of another frame as seen from this one, and (H, W) where they are visible.
 
         None where the other frame shows something else.
@@ -292,14 +292,14 @@ class InTime:
             self._geometries[number] = self._geometries[nearest]
         return self._geometries[number]
 
-    def _sigma(self, image: Grey, frame_count: Grey) -> Grey:
+    def _sigma(self, image: Array, frame_count: Array) -> Array:
         """Standard deviation of the noise in each pixel; zeros where it is not measured."""
         if self.window == 1:
             return np.zeros_like(image)
-        root: Grey = np.sqrt(frame_count)
+        root: Array = np.sqrt(frame_count)
         return self._fusion.noise.at(image) / (root if image.ndim == 2 else root[..., None])
 
-    def _restore(self, frame: _FusedFrame, predictor_weights: Weights, levels: Grey) -> Grey:
+    def _restore(self, frame: _FusedFrame, predictor_weights: Weights, levels: Array) -> Array:
         """The denoised frame; around a fan and in saturated echoes it keeps its own levels."""
         denoised = self._denoise(frame, predictor_weights)
         if self._network is not None:
@@ -312,7 +312,7 @@ class InTime:
         restored[outside] = levels[outside]
         return restored
 
-    def _denoise(self, frame: _FusedFrame, predictor_weights: Weights) -> Grey:
+    def _denoise(self, frame: _FusedFrame, predictor_weights: Weights) -> Array:
         """Denoise a fused frame, channel by channel.
 
         A single frame is what the network makes of it.  In a window the network's output is one of

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from .motion import Floats, Grey, blurred, length_of
+from ....factory.common.array_types import Array, Bools, Float64s, UInt8s
+from .motion import blurred, length_of
 
 _TV_WEIGHT = 0.9
 _TV_STEPS = 5
@@ -51,12 +51,12 @@ class Predictors:
     variation: (H, W) uint8, level of how much the image varies around a pixel.
     """
 
-    grey: Grey
-    changes: list[Grey]
-    variation: npt.NDArray[np.uint8]
+    grey: Array
+    changes: list[Array]
+    variation: UInt8s
 
     @classmethod
-    def of(cls, grey: Grey, sigma: Grey, network_output: Grey) -> Predictors:
+    def of(cls, grey: Array, sigma: Array, network_output: Array) -> Predictors:
         """Predictors of an image, (H, W), whose noise has standard deviation `sigma`, (H, W)."""
         blurs = [blurred(grey, sigma_px) for sigma_px in _BLUR_SIGMAS_PX]
         images = [total_variation(grey, sigma), network_output, *blurs]
@@ -80,10 +80,10 @@ class Weights:
     """
 
     window_frames: int
-    single: Floats
-    window: Floats
+    single: Float64s
+    window: Float64s
 
-    def apply(self, predictors: Predictors, frame_count: Grey) -> Grey:
+    def apply(self, predictors: Predictors, frame_count: Array) -> Array:
         """The prediction, (H, W) in 0..1.  frame_count: (H, W), frames averaged at each pixel."""
         log_window = np.float32(np.log(max(self.window_frames, 2)))
         window_share = np.clip(cv2.log(frame_count) / log_window, 0, 1)
@@ -137,9 +137,7 @@ class Strength:
         self._window_products = np.zeros((classes, _PREDICTORS))
         self._window_pixels = np.zeros(classes)
 
-    def add_single(
-        self, predictors: Predictors, outside: Grey, same: npt.NDArray[np.bool_]
-    ) -> None:
+    def add_single(self, predictors: Predictors, outside: Array, same: Bools) -> None:
         """Measure how well the predictors of a single frame predict a frame outside its window.
 
         outside: (H, W), that frame, aligned.  same: (H, W), where it shows the same scene.
@@ -151,9 +149,7 @@ class Strength:
         self._single_squares += changes @ changes.T
         self._single_products += changes @ target
 
-    def add_window(
-        self, predictors: Predictors, outside: Grey, same: npt.NDArray[np.bool_]
-    ) -> None:
+    def add_window(self, predictors: Predictors, outside: Array, same: Bools) -> None:
         """The same for the predictors of a whole window."""
         if np.count_nonzero(same) < _MIN_PIXELS:
             return
@@ -210,7 +206,7 @@ class Strength:
         )
 
 
-def total_variation(grey: Grey, sigma: Grey) -> Grey:
+def total_variation(grey: Array, sigma: Array) -> Array:
     """The image with less total variation, by how much noise is left in each pixel.
 
     grey: (H, W).  sigma: (H, W) standard deviation of its noise.
@@ -243,21 +239,21 @@ def total_variation(grey: Grey, sigma: Grey) -> Grey:
     return _less_divergence(grey, previous_across, previous_down, weight)
 
 
-def _target(predictors: Predictors, outside: Grey, same: npt.NDArray[np.bool_]) -> Floats:
+def _target(predictors: Predictors, outside: Array, same: Bools) -> Float64s:
     """What the changes are to add up to, (pixels,), without a difference in gain."""
-    target: Floats = (outside - predictors.grey)[same].astype(np.float64)
+    target: Float64s = (outside - predictors.grey)[same].astype(np.float64)
     target -= target.mean()
     return target
 
 
-def _changes(planes: list[Grey], same: npt.NDArray[np.bool_]) -> Floats:
+def _changes(planes: list[Array], same: Bools) -> Float64s:
     """(predictors, pixels)."""
     return np.stack([plane[same].astype(np.float64) for plane in planes])
 
 
-def _less_divergence(grey: Grey, across: Grey, down: Grey, weight: Grey) -> Grey:
+def _less_divergence(grey: Array, across: Array, down: Array, weight: Array) -> Array:
     """The image and the divergence of the dual, times the weight."""
-    divergence: Grey = across + down
+    divergence: Array = across + down
     divergence[:, 1:] -= across[:, :-1]
     divergence[1:] -= down[:-1]
     divergence *= weight

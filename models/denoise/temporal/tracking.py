@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .motion import Grey
+from ....factory.common.array_types import Array, Float64s
 
 MAX_OFFSET = 3
 """Frames before and after a frame along which a path is straight: animals turn."""
@@ -40,12 +40,12 @@ class Tracks:
     velocity_px: (h, w, 2) float32, right and down, reduced pixels per frame.
     """
 
-    mean: Grey
-    score: Grey
-    velocity_px: Grey
+    mean: Array
+    score: Array
+    velocity_px: Array
 
 
-def find_tracks(deviations: Mapping[int, Grey]) -> Tracks:
+def find_tracks(deviations: Mapping[int, Array]) -> Tracks:
     """The path through each pixel along which deviations add up to the largest magnitude.
 
     deviations: frame offset -> (h, w) float32, deviation from the scene in standard deviations of
@@ -77,7 +77,7 @@ def find_tracks(deviations: Mapping[int, Grey]) -> Tracks:
     )
 
 
-def mean_along(planes: Mapping[int, Grey], velocity_px: Grey) -> Grey:
+def mean_along(planes: Mapping[int, Array], velocity_px: Array) -> Array:
     """Mean of planes along the path through each pixel, (H, W) or (H, W, C) float32.
 
     planes: frame offset -> (H, W) or (H, W, C).  velocity_px: (H, W, 2), right and down, pixels
@@ -86,7 +86,7 @@ def mean_along(planes: Mapping[int, Grey], velocity_px: Grey) -> Grey:
     height, width = velocity_px.shape[:2]
     column = np.arange(width, dtype=np.float32)[None, :]
     row = np.arange(height, dtype=np.float32)[:, None]
-    total: Grey = np.zeros_like(next(iter(planes.values())))
+    total: Array = np.zeros_like(next(iter(planes.values())))
     for offset, plane in planes.items():
         if offset == 0:
             total += plane
@@ -98,7 +98,7 @@ def mean_along(planes: Mapping[int, Grey], velocity_px: Grey) -> Grey:
 
 
 @cache
-def candidate_velocities() -> npt.NDArray[np.float64]:
+def candidate_velocities() -> Float64s:
     """(n, 2) right and down, reduced pixels per frame: a disc of even steps."""
     steps = np.arange(-_MAX_VELOCITY, _MAX_VELOCITY + _VELOCITY_STEP / 2, _VELOCITY_STEP)
     right, down = np.meshgrid(steps, steps)
@@ -106,7 +106,7 @@ def candidate_velocities() -> npt.NDArray[np.float64]:
     return np.stack([right[inside], down[inside]], axis=-1)
 
 
-def _pack(deviation: Grey) -> npt.NDArray[np.int16]:
+def _pack(deviation: Array) -> npt.NDArray[np.int16]:
     """Deviations as integers that leave the lowest bits to the index of a velocity."""
     clipped = np.clip(deviation, -_MAX_DEVIATION, _MAX_DEVIATION)
     levels = np.rint(clipped * _LEVELS_PER_DEVIATION).astype(np.int16)

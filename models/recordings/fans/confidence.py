@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ....factory.common.array_types import Bools, Float64s
 from ....factory.dataset.fan_geometry import FanGeometry
 from .sampling import nearest_pixels, sample_nearest
-from .sector import Numbers
 
 _MIN_INNER_SHARE = 0.1  # share of lit pixels just inside the outline
 _OUTER_OF_INNER = 0.35  # share of lit pixels just outside, as a part of that
@@ -20,8 +20,8 @@ _SAMPLES_PER_PIECE = 12  # along the outline
 class _Points(NamedTuple):
     """Points by range, as shares of the largest, and bearing, radians; both broadcast."""
 
-    range_fraction: Numbers
-    azimuth_rad: Numbers
+    range_fraction: Float64s
+    azimuth_rad: Float64s
 
 
 class _Side(NamedTuple):
@@ -42,7 +42,7 @@ class OutlinePixels(NamedTuple):
     outside: npt.NDArray[np.intp]
 
 
-def measure_confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
+def measure_confidence(lit: Bools, fan: FanGeometry) -> float:
     """0..1, the share of the outline at which the lit area visibly ends, see `light_ends`.
 
     Both edges and the far arc count alike: a fan whose outline is half in the dark has 0.5.
@@ -55,7 +55,7 @@ def measure_confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
     return float(np.mean(sides_seen))
 
 
-def light_ends(inner_share: Numbers, outer_share: Numbers) -> npt.NDArray[np.bool_]:
+def light_ends(inner_share: Float64s, outer_share: Float64s) -> Bools:
     """Whether the lit area ends, by the shares of pixels lit just inside and outside an outline.
 
     More than `_MIN_INNER_SHARE` must be lit inside, and less than `_OUTER_OF_INNER` of that
@@ -84,7 +84,7 @@ def _outline_sides(fan: FanGeometry) -> tuple[_Side, _Side, _Side]:
     left_rad = fan.azimuth_min_rad
     right_rad = fan.azimuth_max_rad
     # Some pixels away from the outline, as shares of the largest range.
-    offsets: Numbers = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
+    offsets: Float64s = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
     # The ends of edges and arc are left out: there two sides meet.
     ranges = np.linspace(fan.near_fraction + 0.03, 0.97, sample_count)[:, None]
     bearings = np.linspace(left_rad, right_rad, sample_count + 8)[4:-4, None]
@@ -96,7 +96,7 @@ def _outline_sides(fan: FanGeometry) -> tuple[_Side, _Side, _Side]:
     )
 
 
-def _lit_shares(lit: npt.NDArray[np.bool_], fan: FanGeometry, points: _Points) -> Numbers:
+def _lit_shares(lit: Bools, fan: FanGeometry, points: _Points) -> Float64s:
     """(_PIECES,) share of the points of each piece that are lit; 0 outside the image."""
     samples = sample_nearest(lit, *fan.pixels(*points))
     lit_counts = samples.values.reshape(_PIECES, -1).sum(axis=1)

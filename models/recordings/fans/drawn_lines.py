@@ -9,9 +9,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ....factory.common.array_types import UInt8s
 from ....factory.dataset.fan_geometry import FanGeometry
 from .sampling import sample_nearest
-from .sector import Bytes
 
 _WHITE = 200  # of 255
 _MAX_LINE_SHARE = 0.05  # of the image: more thin bright pixels are speckle
@@ -51,7 +51,7 @@ class _Apex(NamedTuple):
     y: float
 
 
-def find_drawn_fan(grey: Bytes) -> FanGeometry | None:
+def find_drawn_fan(grey: UInt8s) -> FanGeometry | None:
     """The fan bounded by two white side lines and the outermost arc."""
     lines = _thin_white_lines(grey)
     if lines.mean() > _MAX_LINE_SHARE:
@@ -64,7 +64,7 @@ def find_drawn_fan(grey: Bytes) -> FanGeometry | None:
     return None
 
 
-def _thin_white_lines(grey: Bytes) -> Bytes:
+def _thin_white_lines(grey: UInt8s) -> UInt8s:
     """(H, W), 1 on thin white lines and 0 elsewhere."""
     is_white = (grey >= _WHITE).astype(np.uint8)
     # Opening removes thin lines alone, so they are the difference.
@@ -72,7 +72,7 @@ def _thin_white_lines(grey: Bytes) -> Bytes:
     return np.asarray(is_white - wide_areas, np.uint8)
 
 
-def _find_side_lines(lines: Bytes) -> _SideLines:
+def _find_side_lines(lines: UInt8s) -> _SideLines:
     # A fifth of the width or longer; between the sonar and the line there may be 12 pixels.
     min_length_px = 0.2 * lines.shape[1]
     segments = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, min_length_px, 12.0)
@@ -91,7 +91,7 @@ def _find_side_lines(lines: Bytes) -> _SideLines:
     return sides
 
 
-def _fan_of_sides(lines: Bytes, left: _Line, right: _Line) -> FanGeometry | None:
+def _fan_of_sides(lines: UInt8s, left: _Line, right: _Line) -> FanGeometry | None:
     """The fan between two side lines; None unless they meet low in the image, below an arc."""
     if abs(left.slope_deg + right.slope_deg) > _MAX_ASYMMETRY_DEG:
         return None
@@ -115,7 +115,7 @@ def _cross_lines(left: _Line, right: _Line) -> _Apex:
     return _Apex(x, left.left_y + left.slope * (x - left.left_x))
 
 
-def _find_outermost_arc(lines: Bytes, apex: _Apex, half_angle_rad: float) -> float | None:
+def _find_outermost_arc(lines: UInt8s, apex: _Apex, half_angle_rad: float) -> float | None:
     """Radius of the outermost drawn arc about the sonar, pixels; None without any."""
     height, width = lines.shape
     # Without the ends of the arc, where it meets the side lines.

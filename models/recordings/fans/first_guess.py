@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ....factory.common.array_types import Array, Bools, Float32s, Float64s
 from .outline import AnchorRows, Outline
-from .sector import Numbers
 
 _THUMBNAIL_PX = 160  # longest side
 _MIN_LIT_SHARE = 0.05  # of a pixel of the thumbnail that is not black
@@ -41,7 +41,7 @@ class _EdgeLine(NamedTuple):
     columns_per_row: float
     first_column: float
 
-    def columns(self, rows: Numbers) -> Numbers:
+    def columns(self, rows: Float64s) -> Float64s:
         return np.asarray(np.polyval(self, rows))
 
 
@@ -53,13 +53,13 @@ class _Thumbnail(NamedTuple):
     cell_px: by which the longer side was reduced.
     """
 
-    lit_share: npt.NDArray[np.float32]
+    lit_share: Float32s
     rows_px: float
     columns_px: float
     cell_px: float
 
 
-def guess_outline(lit: npt.NDArray[np.bool_]) -> FirstGuess | None:
+def guess_outline(lit: Bools) -> FirstGuess | None:
     """Guess the outline of the lit pixels, (H, W); None where they form no sector."""
     thumbnail = _reduce(lit)
     part = _largest_dense_part(thumbnail.lit_share)
@@ -100,7 +100,7 @@ def guess_outline(lit: npt.NDArray[np.bool_]) -> FirstGuess | None:
     return FirstGuess(outline, anchors, thumbnail.cell_px)
 
 
-def _reduce(lit: npt.NDArray[np.bool_]) -> _Thumbnail:
+def _reduce(lit: Bools) -> _Thumbnail:
     height, width = lit.shape
     cell_px = max(1, math.ceil(max(height, width) / _THUMBNAIL_PX))
     columns = math.ceil(width / cell_px)
@@ -116,13 +116,13 @@ def _reduce(lit: npt.NDArray[np.bool_]) -> _Thumbnail:
     )
 
 
-def _to_image(positions: npt.NDArray[Any], cell_px: float) -> list[float]:
+def _to_image(positions: Array, cell_px: float) -> list[float]:
     """Positions in the image of positions in the thumbnail; both count from a pixel's centre."""
     image_positions: list[float] = ((positions + 0.5) * cell_px - 0.5).tolist()
     return image_positions
 
 
-def _largest_dense_part(lit_share: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_] | None:
+def _largest_dense_part(lit_share: Float32s) -> Bools | None:
     """Mask of the largest area in which many pixels are lit; None where it is next to nothing.
 
     lit_share: (h, w), see `_Thumbnail`.

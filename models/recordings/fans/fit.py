@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ....factory.common.array_types import Bools, Float64s
 from .first_guess import guess_outline
 from .likelihood import OutlineLikelihood, estimate_probabilities
 from .lit_pixels import LitPixels
 from .outline import Outline
-from .sector import Numbers, Sector
+from .sector import Sector
 from .simplex import find_lowest_point
 
 _FINE_STEP_PX = 1.0
@@ -23,7 +23,7 @@ _MOVES = 21  # of each parameter, between its limits
 _EQUAL_COST = 1e-6
 
 
-def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
+def fit_sector(lit: Bools) -> Sector | None:
     """The sector that best separates lit from black pixels, (H, W); None where there is none."""
     guess = guess_outline(lit)
     if guess is None:
@@ -65,7 +65,7 @@ def _fit_leading_parameters(
     start = np.array(outline[:free_count])
     fixed = outline[free_count:]
 
-    def cost(free: Numbers) -> float:
+    def cost(free: Float64s) -> float:
         candidate = Outline(*free.tolist(), *fixed)
         return float(likelihood.smooth_costs([candidate])[0])
 

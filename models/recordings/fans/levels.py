@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ....factory.common.array_types import Array, UInt8s
 from ..palettes import find_painted
-from .sector import Bytes, Sector
+from .sector import Sector
 
 MAX_BLACK = 48
 """Of 255: a border lighter than this is no black one."""
 
 
-def grey_bytes(image: npt.NDArray[Any]) -> Bytes:
+def grey_bytes(image: Array) -> UInt8s:
     """(H, W) of 8 bits: grey values, or the levels of a colour map.
 
     image: (H, W) or (H, W, colours) of any number type.  Raises ValueError for another shape.
@@ -32,7 +30,7 @@ def grey_bytes(image: npt.NDArray[Any]) -> Bytes:
     return np.asarray(np.ceil(np.clip(np.nan_to_num(image / white), 0, 1) * 255), np.uint8)
 
 
-def _white_level(image: npt.NDArray[Any]) -> float:
+def _white_level(image: Array) -> float:
     """The value of white: the largest of the type, 1 for floats, or the image's own maximum."""
     type_limit = float(np.iinfo(image.dtype).max) if image.dtype.kind in "iu" else 1.0
     # Samples of 10 or 12 bits in files of 16 leave most of the scale empty.
@@ -40,7 +38,7 @@ def _white_level(image: npt.NDArray[Any]) -> float:
     return brightest if 0 < brightest < type_limit / 4 else type_limit
 
 
-def black_level(grey: Bytes) -> int:
+def black_level(grey: UInt8s) -> int:
     """Grey value of the darker upper corner: no fan reaches the corners, but text may."""
     side_px = max(2, min(grey.shape) // 40)
     left = grey[:side_px, :side_px]
@@ -48,7 +46,7 @@ def black_level(grey: Bytes) -> int:
     return min(int(np.quantile(corner, 0.99)) for corner in (left, right))
 
 
-def ringing_level(grey: Bytes, sector: Sector) -> int:
+def ringing_level(grey: UInt8s, sector: Sector) -> int:
     """Grey value of the border beside a sector, where JPEG and MPEG ring and it is not black."""
     inside = sector.mask(*grey.shape)
     within_2_px = cv2.dilate(inside, np.ones((5, 5), np.uint8))

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ....factory.common.array_types import Float64s
 from .lit_pixels import LitPixels, PixelCounts
 from .outline import AnchorRows, Outline
-from .sector import Numbers, Sector
+from .sector import Sector
 
 INVALID_COST = 1e9
 """Of an outline that encloses no sector: more than any sector in an image of 2^26 pixels costs."""
@@ -71,13 +72,13 @@ class OutlineLikelihood:
         self._black_cost = math.log((1 - q) / (1 - p))
         self._column_step = max(1, lit_pixels.width // _MAX_FIT_COLUMNS)
 
-    def smooth_costs(self, outlines: Sequence[Outline]) -> Numbers:
+    def smooth_costs(self, outlines: Sequence[Outline]) -> Float64s:
         """(N,) costs by parts of pixels, smooth for a fit; `INVALID_COST` without a sector."""
         sectors = self._to_sectors(outlines)
         counts = self._lit_pixels.count_fractional(_valid(sectors), self._column_step)
         return self._costs(sectors, counts)
 
-    def whole_pixel_costs(self, outlines: Sequence[Outline]) -> Numbers:
+    def whole_pixel_costs(self, outlines: Sequence[Outline]) -> Float64s:
         """(N,) costs by whole pixels, exact to a pixel; `INVALID_COST` without a sector."""
         sectors = self._to_sectors(outlines)
         counts = self._lit_pixels.count_whole(_valid(sectors), self._column_step)
@@ -86,7 +87,7 @@ class OutlineLikelihood:
     def _to_sectors(self, outlines: Sequence[Outline]) -> list[Sector | None]:
         return [outline.to_sector(self._anchors) for outline in outlines]
 
-    def _costs(self, sectors: Sequence[Sector | None], counts: PixelCounts) -> Numbers:
+    def _costs(self, sectors: Sequence[Sector | None], counts: PixelCounts) -> Float64s:
         """counts: of the sectors that are not None, in their order."""
         costs = np.full(len(sectors), INVALID_COST)
         is_valid = [sector is not None for sector in sectors]

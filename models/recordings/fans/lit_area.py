@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from .sector import Bytes
+from ....factory.common.array_types import Bools, Float64s, UInt8s
 
 _MIN_LIT_SHARE = 0.02  # of a row or column that is not black
 _MARGIN_PX = 16
@@ -19,12 +18,12 @@ _MAX_AREA = 0.9  # the largest
 class Crop(NamedTuple):
     """A part of an image, and its first row and column."""
 
-    grey: Bytes
+    grey: UInt8s
     top: int
     left: int
 
 
-def crop_lit_area(grey: Bytes, black: int) -> Crop:
+def crop_lit_area(grey: UInt8s, black: int) -> Crop:
     """The part of an image that is not black, with a margin.
 
     black: the largest grey value that counts as black.
@@ -35,7 +34,7 @@ def crop_lit_area(grey: Bytes, black: int) -> Crop:
     return Crop(np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start)
 
 
-def _lit_span(lit_shares: npt.NDArray[np.float64]) -> slice:
+def _lit_span(lit_shares: Float64s) -> slice:
     """The span of rows or columns that are not black, with a margin; all where every one is.
 
     lit_shares: share of lit pixels in each row or column.
@@ -49,7 +48,7 @@ def _lit_span(lit_shares: npt.NDArray[np.float64]) -> slice:
     return slice(max(first - _MARGIN_PX, 0), last + _MARGIN_PX + 1)
 
 
-def isolate_largest_area(grey: Bytes, ground_spread: int) -> Bytes | None:
+def isolate_largest_area(grey: UInt8s, ground_spread: int) -> UInt8s | None:
     """Blacken all but the largest area on the flat ground of a screen, which may hold a fan.
 
     ground_spread: grey levels by which the ground may vary.
@@ -80,9 +79,7 @@ def isolate_largest_area(grey: Bytes, ground_spread: int) -> Bytes | None:
     return np.where(labels == largest, on_black, 0).astype(np.uint8)
 
 
-def _blacken_ground(
-    grey: Bytes, has_ground_level: npt.NDArray[np.bool_], is_rim: npt.NDArray[np.bool_]
-) -> Bytes:
+def _blacken_ground(grey: UInt8s, has_ground_level: Bools, is_rim: Bools) -> UInt8s:
     """Blacken all of the ground's level that is connected to the rim of the image."""
     _, labels = cv2.connectedComponents(has_ground_level.astype(np.uint8), connectivity=4)
     ground_labels = np.setdiff1d(labels[is_rim], 0)  # 0: pixels of other levels

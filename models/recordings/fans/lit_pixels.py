@@ -8,17 +8,18 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .sector import Numbers, Sector, row_spans
+from ....factory.common.array_types import Bools, Float64s
+from .sector import Sector, row_spans
 
 
 class PixelCounts(NamedTuple):
     """(N,) pixels in each of N sectors, and how many of them are lit; parts of pixels count."""
 
-    area: Numbers
-    lit: Numbers
+    area: Float64s
+    lit: Float64s
 
     @property
-    def black(self) -> Numbers:
+    def black(self) -> Float64s:
         """(N,) pixels in each sector that are not lit."""
         return np.asarray(self.area - self.lit)
 
@@ -32,7 +33,7 @@ class LitPixels:
     width: columns of the image.  pixel_count, lit_count: of all of it.
     """
 
-    def __init__(self, lit: npt.NDArray[np.bool_]) -> None:
+    def __init__(self, lit: Bools) -> None:
         """lit: (H, W), whether a pixel is lit."""
         height, width = lit.shape
         # Row r holds the lit pixels above the upper border of row r.  The last sum is there twice,
@@ -75,7 +76,7 @@ class LitPixels:
     def _columns(self, step: int) -> npt.NDArray[np.intp]:
         return np.arange(step // 2, self.width, step)
 
-    def _count_between(self, borders: Numbers, columns: npt.NDArray[np.intp]) -> PixelCounts:
+    def _count_between(self, borders: Float64s, columns: npt.NDArray[np.intp]) -> PixelCounts:
         """borders: (2, N, W) upper and lower border of N sectors in W columns, rows."""
         borders = np.minimum(np.maximum(borders, 0.0), self._height)
         # A column beside the sector counts nothing.
@@ -87,7 +88,7 @@ class LitPixels:
             lit=_sum_columns(lit_above[1] - lit_above[0]),
         )
 
-    def _count_lit_above(self, borders: Numbers, columns: npt.NDArray[np.intp]) -> Numbers:
+    def _count_lit_above(self, borders: Float64s, columns: npt.NDArray[np.intp]) -> Float64s:
         """Lit pixels above each border; a lit pixel that it cuts counts by its part above."""
         row = borders.astype(np.int64)
         part_above = borders - row
@@ -98,6 +99,6 @@ class LitPixels:
         return np.asarray(part_above * is_lit + above_row)
 
 
-def _sum_columns(values: Numbers) -> Numbers:
+def _sum_columns(values: Float64s) -> Float64s:
     """(N,) sums of (N, W), added in order: they do not depend on how NumPy splits a sum."""
     return np.asarray(values.cumsum(axis=-1)[..., -1])

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from .sector import Numbers
+from ....factory.common.array_types import Array, Bools, Float64s
 
 
 class Samples(NamedTuple):
     """Values of the pixels nearest to points, 0 outside the image, and which are inside."""
 
-    values: npt.NDArray[Any]
-    is_inside: npt.NDArray[np.bool_]
+    values: Array
+    is_inside: Bools
 
 
-def nearest_pixels(row: Numbers, column: Numbers, height: int, width: int) -> npt.NDArray[np.intp]:
+def nearest_pixels(
+    row: Float64s, column: Float64s, height: int, width: int
+) -> npt.NDArray[np.intp]:
     """Index of the nearest pixel in the flattened image for each point; -1 outside the image."""
     row, column = np.broadcast_arrays(row, column)
     nearest_row = np.rint(row).astype(np.intp)
@@ -27,7 +29,7 @@ def nearest_pixels(row: Numbers, column: Numbers, height: int, width: int) -> np
     return np.where(is_inside, nearest_row * width + nearest_column, -1)
 
 
-def sample_nearest(image: npt.NDArray[Any], row: Numbers, column: Numbers) -> Samples:
+def sample_nearest(image: Array, row: Float64s, column: Float64s) -> Samples:
     """Sample an image (H, W) at points."""
     pixels = nearest_pixels(row, column, *image.shape)
     is_inside = pixels >= 0

@@ -8,12 +8,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from ....factory.common.array_types import Float64s, UInt8s
 from ....factory.dataset.fan_geometry import FanGeometry
-
-Numbers = npt.NDArray[np.float64]
-Bytes = npt.NDArray[np.uint8]
 
 _MIN_HALF_ANGLE_DEG = 2.0
 _MAX_HALF_ANGLE_DEG = 88.0
@@ -51,7 +48,7 @@ class Sector(NamedTuple):
             return False
         return abs(math.log(self.squeeze)) <= math.log(_MAX_PLAUSIBLE_SQUEEZE)
 
-    def mask(self, height: int, width: int) -> Bytes:
+    def mask(self, height: int, width: int) -> UInt8s:
         """(H, W), 1 where the centre of a pixel lies in the sector, 0 elsewhere."""
         columns = np.arange(width, dtype=np.float64)
         (first_row,), (last_row,) = row_spans([self], columns)
@@ -78,7 +75,7 @@ _RADII = slice(Sector._fields.index("far_px"), Sector._fields.index("near_px") +
 _TANGENTS = slice(Sector._fields.index("left_tangent"), Sector._fields.index("right_tangent") + 1)
 
 
-def row_spans(sectors: Sequence[Sector], columns: Numbers) -> Numbers:
+def row_spans(sectors: Sequence[Sector], columns: Float64s) -> Float64s:
     """(2, N, W) first and last row, with fractions, of N sectors in W columns of the image.
 
     A column meets a sector in one span of rows.  It begins at the far arc and ends at the near arc

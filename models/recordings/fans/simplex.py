@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .sector import Numbers
+from ....factory.common.array_types import Float64s
 
 # Largest differences from the best corner in a simplex that has converged: of costs, and of
 # parameters (pixels, or the logarithm of the squeeze).
@@ -15,8 +15,8 @@ _CONVERGED_DISTANCE = 0.05
 
 
 def find_lowest_point(
-    cost: Callable[[Numbers], float], corners: Numbers, max_evaluations: int
-) -> Numbers:
+    cost: Callable[[Float64s], float], corners: Float64s, max_evaluations: int
+) -> Float64s:
     """The point of lowest cost near a simplex (N + 1, N), by about `max_evaluations`.
 
     SciPy sorts corners of equal cost in an order that depends on the processor, which moved 115 of
@@ -35,7 +35,7 @@ class _Simplex:
     corners: (N + 1, N), the best first.  costs: of each.  evaluations: of the cost so far.
     """
 
-    def __init__(self, cost: Callable[[Numbers], float], corners: Numbers) -> None:
+    def __init__(self, cost: Callable[[Float64s], float], corners: Float64s) -> None:
         self._cost = cost
         size = corners.shape[1]
         self._size = size
@@ -83,7 +83,7 @@ class _Simplex:
             self._shrink()
         return True
 
-    def _opposite(self, share: float) -> Numbers:
+    def _opposite(self, share: float) -> Float64s:
         """The worst corner, moved along the line through the middle of the others.
 
         share: how far beyond the middle, as a part of its distance from there; negative: short of
@@ -92,11 +92,11 @@ class _Simplex:
         middle = np.add.reduce(self.corners[:-1]) / self._size
         return np.asarray((1 + share) * middle - share * self.corners[-1])
 
-    def _evaluate(self, corner: Numbers) -> float:
+    def _evaluate(self, corner: Float64s) -> float:
         self.evaluations += 1
         return self._cost(corner)
 
-    def _replace_worst(self, corner: Numbers, cost: float) -> None:
+    def _replace_worst(self, corner: Float64s, cost: float) -> None:
         self.corners[-1] = corner
         self.costs[-1] = cost
         self._sort()

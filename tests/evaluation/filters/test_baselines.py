@@ -7,7 +7,6 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
@@ -15,9 +14,9 @@ from scipy import ndimage
 from simnfnd.evaluation.filters import REGISTRY, Baseline, chosen
 from simnfnd.evaluation.filters.rivals import dual_tree, lpmsde
 from simnfnd.evaluation.metrics.fidelity import psnr
+from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.errors import FactoryError
 
-Array = npt.NDArray[Any]
 HAS_RADAR = find_spec("deepdespeckling") is not None
 NAMES = tuple(name for name in REGISTRY if HAS_RADAR or name != "sar2sar")
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -27,8 +25,7 @@ from simnfnd.evaluation.metrics.measure import (
     ratio_figures,
     sector_of,
 )
-
-Array = npt.NDArray[Any]
+from simnfnd.factory.common.array_types import Array
 
 
 def waves(height: int, width: int) -> tuple[Array, Array]:

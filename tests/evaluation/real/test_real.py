@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from simnfnd.command import main
@@ -20,12 +19,11 @@ from simnfnd.evaluation.judging.recorded import MDD_GEOMETRIES, MDD_SHAPE, Recor
 from simnfnd.evaluation.real import in_time
 from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of, search, sector_of
 from simnfnd.evaluation.real.judge import MeasuredImage, figures_of, scene_of
+from simnfnd.factory.common.array_types import Array, Float32s, UInt8s
 from simnfnd.factory.common.workers.tasks import TaskPool
 from simnfnd.models.recordings.static import aligned, moving, shift_px
 from tests.evaluation.evaluation_settings import BROKEN
 
-Array = npt.NDArray[Any]
-Grey = npt.NDArray[np.float32]
 SHAPE = (120, 96)
 SECTOR = np.ones(SHAPE, bool)
 SECTOR[:, :8] = SECTOR[:, -8:] = False
@@ -117,7 +115,7 @@ def test_the_report_of_a_folder_without_static_groups(
 # --- static scenes -------------------------------------------------------------------------------
 
 
-def scene(seed: int) -> Grey:
+def scene(seed: int) -> Float32s:
     """Blobs of two sizes on a grey floor in 0..1, wider than a frame."""
     rng = np.random.default_rng(seed)
     wide = rng.normal(0, 1, (SHAPE[0] + 40, SHAPE[1] + 40)).astype(np.float32)
@@ -127,7 +125,7 @@ def scene(seed: int) -> Grey:
 
 def frame(
     seed: int, rng: np.random.Generator, noise: float, shift: tuple[float, float] = (0, 0)
-) -> Grey:
+) -> Float32s:
     """The scene lies `shift` pixels right and down of the middle."""
     matrix = np.array([[1, 0, 20 - shift[0]], [0, 1, 20 - shift[1]]], np.float64)
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -135,7 +133,7 @@ def frame(
     return np.asarray(np.clip(observed + rng.normal(0, noise, SHAPE), 0, 1), np.float32)
 
 
-def stored(seed: int, count: int) -> list[npt.NDArray[np.uint8]]:
+def stored(seed: int, count: int) -> list[UInt8s]:
     """The scene so many times, (H, W) uint8, each with noise of its own."""
     rng = np.random.default_rng(1000 + seed)
     return [np.rint(frame(seed, rng, 0.08) * 255).astype(np.uint8) for _ in range(count)]

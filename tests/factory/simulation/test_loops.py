@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy import ndimage
 
 from simnfnd.factory.common import seeds
+from simnfnd.factory.common.array_types import Bools, Float32s
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.fan_geometry import pixel_size
 from simnfnd.factory.simulation.frames.frame import Frame
@@ -144,9 +145,7 @@ def test_accumulation_is_that_of_numpy_and_parts_need_not_be_joined(accumulate: 
     range_bins=st.sampled_from([0, 0.3, 0.7, 2.5]),
     beams=st.sampled_from([0, 0.5, 1.2]),
 )
-def test_blur_is_that_of_scipy(
-    level: npt.NDArray[np.float32], range_bins: float, beams: float
-) -> None:
+def test_blur_is_that_of_scipy(level: Float32s, range_bins: float, beams: float) -> None:
     device = sonar(point_spread={"range_bins": range_bins, "beams": beams})
     expected = ndimage.gaussian_filter(
         level.astype(np.float64), (range_bins, beams), mode="constant", truncate=3.0
@@ -156,7 +155,7 @@ def test_blur_is_that_of_scipy(
 
 @settings(max_examples=30, deadline=None)
 @given(hit=arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=14)))
-def test_closing_is_that_of_scipy(hit: npt.NDArray[np.bool_]) -> None:
+def test_closing_is_that_of_scipy(hit: Bools) -> None:
     grid = ndimage.binary_closing(np.pad(hit, 9), structure=np.ones((5, 3), np.bool_))
     np.testing.assert_array_equal(polar.covered(hit), grid[9:-9, 9:-9])
 
@@ -192,9 +191,7 @@ def test_fan_is_bilinear_and_nearest_as_scipy_interpolates() -> None:
     fraction=st.floats(0, 1),
     skip=st.integers(0, 59),
 )
-def test_quantiles_are_those_of_numpy(
-    values: npt.NDArray[np.float32], fraction: float, skip: int
-) -> None:
+def test_quantiles_are_those_of_numpy(values: Float32s, fraction: float, skip: int) -> None:
     skip = min(skip, len(values) - 1)
     expected = np.quantile(np.sort(values.astype(np.float64))[skip:], [fraction, 0.5])
     actual = transfer.quantiles(values, (fraction, 0.5), skip=skip)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from simnfnd.factory.common.array_types import Float32s
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.adapting.adapting import Lesson, psnr_after_levels
 from simnfnd.models.adapting.command import main
@@ -17,7 +18,7 @@ from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.recordings.inputs import NONE, Geometries
-from tests.models.adapt.scenes import Grey, noisy, scene, write
+from tests.models.adapt.scenes import noisy, scene, write
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared/data"
@@ -38,7 +39,7 @@ def weights(tmp_path: Path) -> Path:
     return path
 
 
-def write_static_scenes(folder: Path, scenes: int = 2, frames: int = 6) -> list[Grey]:
+def write_static_scenes(folder: Path, scenes: int = 2, frames: int = 6) -> list[Float32s]:
     truth = [scene(number) for number in range(scenes)]
     for number, scene_ in enumerate(truth):
         for frame in range(frames):

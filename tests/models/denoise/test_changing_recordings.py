@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import tifffile
 
+from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.ros_types import typestore
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.images import Denoising
@@ -24,27 +24,25 @@ from tests.models.denoise.untrained import Halving
 from tests.models.recordings.bag_files import sonar, write_bag
 from tests.models.recordings.recording_files import write_aris
 
-Frames = npt.NDArray[Any]
-
 SIDE = 80
 COUNT = 8
 LOW = DeviceSettings(frequency_khz=750.0)
 HIGH = DeviceSettings(frequency_khz=1200.0)
 
 
-def static(seed: int, *, count: int = COUNT, level: float = 1.0, side: int = SIDE) -> Frames:
+def static(seed: int, *, count: int = COUNT, level: float = 1.0, side: int = SIDE) -> Array:
     """(count, side, side) float32 in 0..1: one scene with noise of its own in each frame."""
     truth = scene(side, seed) * np.float32(level)
     frames = [noisy(truth / level, 100 * seed + number) * level for number in range(count)]
-    stack: Frames = np.stack(frames).astype(np.float32)
+    stack: Array = np.stack(frames).astype(np.float32)
     return stack
 
 
 def denoised(
-    frames: Frames,
+    frames: Array,
     settings: Sequence[DeviceSettings] | None = None,
     **options: Any,
-) -> tuple[Frames, str]:
+) -> tuple[Array, str]:
     """What becomes of the frames with a network that changes nothing, and the summary."""
     denoising = Denoising(as_it_is, frames=5, **options)
 
@@ -58,7 +56,7 @@ def denoised(
     return np.stack([result.image for result in results]), "\n".join(denoising.summary())
 
 
-def in_turns(first: Frames, second: Frames) -> Frames:
+def in_turns(first: Array, second: Array) -> Array:
     return np.stack([first, second], axis=1).reshape(-1, *first.shape[1:])
 
 

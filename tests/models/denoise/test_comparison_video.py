@@ -8,19 +8,17 @@ from typing import Any
 import av
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise.comparison_video import comparison_video
 from simnfnd.models.denoise.writers import CAPTION_PX
 from tests.models.denoise.untrained import main, results_in
 from tests.models.recordings.recording_files import pings, write_aris
 
-Image = npt.NDArray[Any]
 
-
-def decoded(path: Path) -> tuple[Any, list[Image], list[float]]:
+def decoded(path: Path) -> tuple[Any, list[Array], list[float]]:
     """The codec, the images and when each is shown, seconds."""
     with av.open(str(path)) as container:
         frames = list(container.decode(video=0))

@@ -14,6 +14,7 @@ import pytest
 import scipy.io
 import tifffile
 
+from simnfnd.factory.common.array_types import UInt8s
 from simnfnd.models.denoise.video_writer import TimedImage, write_video
 from simnfnd.models.denoise.writers import write_frames
 from simnfnd.models.recordings import open_recording
@@ -23,7 +24,7 @@ from simnfnd.models.recordings.page_axes import axes_of
 from simnfnd.models.recordings.videos import VideoProperties
 from tests.models.denoise.untrained import main
 from tests.models.recordings.fan_images import fan, preset
-from tests.models.recordings.recording_files import Bytes, pings
+from tests.models.recordings.recording_files import pings
 from tests.models.recordings.video_files import encode
 
 
@@ -282,7 +283,7 @@ def test_two_frames_at_one_time(tmp_path: Path) -> None:
 # --- titles ---------------------------------------------------------------------------------------
 
 
-def title(shape: tuple[int, ...], number: int) -> Bytes:
+def title(shape: tuple[int, ...], number: int) -> UInt8s:
     image: Any = np.zeros(shape, np.uint8)
     for row in range(30 + 7 * number % 40, shape[0], 60):
         cv2.putText(image, "Dive 7", (10, row), cv2.FONT_HERSHEY_SIMPLEX, 1.0, (255,), 2)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import h5py
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.errors import FactoryError, FrameError
 from simnfnd.factory.dataset import reader
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
@@ -63,7 +62,7 @@ def test_images_keep_name_size_and_dtype(
 ) -> None:
     noisy, _, _ = fan_images(40, np.random.default_rng(0))
     noisy = noisy[:31]
-    images: dict[str, npt.NDArray[Any]] = {
+    images: dict[str, Array] = {
         "a.png": (noisy * 255).astype(np.uint8),
         "deep/b.png": (noisy * 65535).astype(np.uint16),
         "deep/c.tif": noisy,

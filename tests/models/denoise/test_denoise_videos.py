@@ -6,13 +6,12 @@ import resource
 import signal
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Array, Floats
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise.video_writer import CONTAINERS, TimedImage, target_of, write_video
 from simnfnd.models.denoise.writers import write_frames
@@ -23,10 +22,8 @@ from tests.models.denoise.untrained import main, results_in, through_network
 from tests.models.recordings.video_files import decoded, encode
 from tests.small_dataset import fan_images
 
-Bytes = npt.NDArray[Any]
 
-
-def fans(count: int) -> Bytes:
+def fans(count: int) -> Array:
     """(count, 48, 48) uint8: one scene that moves."""
     noisy, _, _ = fan_images(48, np.random.default_rng(1))
     grey = (noisy * 255).astype(np.uint8)
@@ -187,16 +184,16 @@ def test_a_full_disk_leaves_no_half_video(tmp_path: Path) -> None:
     assert not list((tmp_path / "out").iterdir())
 
 
-def levels_of(number: int) -> Bytes:
+def levels_of(number: int) -> Array:
     return np.asarray(np.rint(np.clip(noisy(scene(0), number), 0, 1) * 255), np.uint8)
 
 
-def jet(levels: npt.NDArray[np.floating] | Bytes) -> Bytes:
+def jet(levels: Floats | Array) -> Array:
     rounded = np.rint(levels).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(rounded, cv2.COLORMAP_JET), np.uint8)
 
 
-def away(frame: npt.NDArray[Any], reference: Bytes) -> float:
+def away(frame: Array, reference: Array) -> float:
     return float(np.abs(frame.astype(int) - reference).mean())
 
 

@@ -11,13 +11,12 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Array, Float32s
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.adapting.adapting import psnr_after_levels
 from simnfnd.models.denoise.denoiser import Denoiser
@@ -25,7 +24,6 @@ from simnfnd.models.pretrained import shipped
 from simnfnd.models.recordings.fan_finder import find_geometry
 from tests.project_files import ROOT
 
-Grey = npt.NDArray[np.float32]
 RECORDING = ROOT / "examples" / "didson" / "lamprey.avi"
 PAIRS = Path(__file__).with_name("golden_pairs.npz")
 _FRAMES = 8
@@ -39,10 +37,10 @@ GOLDEN = {
 
 
 @lru_cache(maxsize=1)
-def frames(path: Path = RECORDING) -> tuple[Grey, FanGeometry]:
+def frames(path: Path = RECORDING) -> tuple[Float32s, FanGeometry]:
     """(T, H, W) float32 in 0..1, and the fan."""
     video = cv2.VideoCapture(str(path))
-    actual: list[npt.NDArray[Any]] = []
+    actual: list[Array] = []
     while len(actual) < _FRAMES and (read := video.read())[0]:
         actual.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))
     geometry = find_geometry(actual[0])
@@ -50,7 +48,7 @@ def frames(path: Path = RECORDING) -> tuple[Grey, FanGeometry]:
     return np.stack(actual).astype(np.float32) / 255, geometry
 
 
-def target(members: range) -> Grey:
+def target(members: range) -> Float32s:
     """The mean of the other frames, NaN outside the fan."""
     observed, geometry = frames()
     others = [number for number in range(len(observed)) if number not in members]
@@ -58,7 +56,7 @@ def target(members: range) -> Grey:
     return np.where(sector, observed[others].mean(axis=0), np.nan).astype(np.float32)
 
 
-def pairs(kind: str) -> list[tuple[Grey, Grey, FanGeometry]]:
+def pairs(kind: str) -> list[tuple[Float32s, Float32s, FanGeometry]]:
     """(noisy, clean, geometry) of procedural images, `points` or `sonar`."""
     with np.load(PAIRS) as stored:
         return [
@@ -71,7 +69,7 @@ def pairs(kind: str) -> list[tuple[Grey, Grey, FanGeometry]]:
         ]
 
 
-def psnr(image: Grey, reference: Grey) -> float:
+def psnr(image: Float32s, reference: Float32s) -> float:
     return float(-10 * np.log10(np.square(image - reference).mean()))
 
 

@@ -6,20 +6,18 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Float32s
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.inverted import InvertedReport, has_inverted_scale
 from simnfnd.models.denoise.unchanged import UnchangedReport
-
-Grey = npt.NDArray[np.float32]
 
 LAMPREY = Path(__file__).parents[3] / "examples/didson/lamprey.avi"
 MDD = Path(__file__).parents[4] / "shared/data/mdd/Images"
 
 
-def speckled_fan(seed: int, *, ground: float, inverted: bool = False) -> Grey:
+def speckled_fan(seed: int, *, ground: float, inverted: bool = False) -> Float32s:
     """(240, 200) float32: a sea floor with bright objects and their shadows in a fan."""
     rng = np.random.default_rng(seed)
     rows, columns = np.mgrid[:240, :200].astype(np.float32)

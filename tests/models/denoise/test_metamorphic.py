@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from simnfnd import open_recording
+from simnfnd.factory.common.array_types import Array, Bools
 from simnfnd.models.denoise.denoiser import Denoiser
 from tests.project_files import ROOT
 
-Grey = npt.NDArray[Any]
 _MOST = 0.15
 _NEAR = slice(60, None)
 """Rows of the samples that are measured: those far from the band and the letters."""
@@ -29,8 +28,8 @@ _NEAR = slice(60, None)
 class Sample(NamedTuple):
     """image: (H, W) uint8.  flat: (H, W), where the scene has no edges."""
 
-    image: Grey
-    flat: npt.NDArray[np.bool_]
+    image: Array
+    flat: Bools
 
 
 @lru_cache(maxsize=2)
@@ -60,31 +59,31 @@ def denoiser() -> Denoiser:
     return Denoiser("simnfnd", "cpu")
 
 
-def grain(image: Grey, flat: npt.NDArray[np.bool_]) -> float:
+def grain(image: Array, flat: Bools) -> float:
     kernel = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
     return float(cv2.filter2D(image.astype(np.float32), -1, kernel)[flat].std())
 
 
-def share_left(image: Grey, flat: npt.NDArray[np.bool_]) -> float:
+def share_left(image: Array, flat: Bools) -> float:
     """Of the grain of (H, W) uint8, after the weights that ship."""
     levels = image.astype(np.float32) / 255
     denoised = denoiser()(levels)
     return grain(denoised, flat) / grain(levels, flat)
 
 
-def with_gain(image: Grey) -> Grey:
-    weakened: Grey = np.rint(0.6 * image).astype(np.uint8)
+def with_gain(image: Array) -> Array:
+    weakened: Array = np.rint(0.6 * image).astype(np.uint8)
     return weakened
 
 
-def with_distant_band(image: Grey) -> Grey:
+def with_distant_band(image: Array) -> Array:
     """Three times as bright in the far sixth of the rows."""
     changed = image.astype(np.float32)
     changed[:35] *= 3
     return np.clip(changed, 0, 255).astype(np.uint8)
 
 
-def with_letters(image: Grey) -> Grey:
+def with_letters(image: Array) -> Array:
     changed = image.copy()
     for left in range(6, 66, 8):
         changed[8:18, left : left + 5] = 255
@@ -94,7 +93,7 @@ def with_letters(image: Grey) -> Grey:
 @pytest.mark.parametrize("name", ["didson", "aris"])
 @pytest.mark.parametrize("change", [with_gain, with_distant_band, with_letters])
 def test_what_is_left_of_the_grain_elsewhere_stays(
-    name: str, change: Callable[[Grey], Grey]
+    name: str, change: Callable[[Array], Array]
 ) -> None:
     image, flat = sample(name)
     measured = flat.copy()

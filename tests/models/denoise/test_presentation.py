@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import simnfnd
+from simnfnd.factory.common.array_types import Array
 from simnfnd.models.adapting.stretches import StretchFrame, presented
 from simnfnd.models.denoise.command import main
 from simnfnd.models.recordings.fan_finder import find_geometry
 from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen, with_rings
 
-Image = npt.NDArray[Any]
 QUARTERS = {"usual": 0, "from the left": 1, "upside down": 2, "from the right": 3}
 
 
@@ -26,7 +24,7 @@ def test_turned_fans_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
     for name, turns in QUARTERS.items():
         assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), np.rot90(grey, turns))
     assert main([str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
-    read: dict[str, Image] = {
+    read: dict[str, Array] = {
         name: np.asarray(cv2.imread(str(tmp_path / "out" / f"{name}.png"), 0)) for name in QUARTERS
     }
     usual = read["usual"].astype(np.float64)

@@ -12,11 +12,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 import tifffile
 
 import simnfnd
+from simnfnd.factory.common.array_types import Array
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.recordings import open_recording
@@ -24,8 +24,6 @@ from simnfnd.models.recordings.device_settings import DeviceSettings
 from tests.models.denoise.untrained import Halving
 from tests.models.recordings.video_files import encode
 from tests.project_files import ROOT
-
-Frames = npt.NDArray[Any]
 
 WINDOW = 5
 EXAMPLES = {
@@ -37,12 +35,12 @@ every = pytest.mark.parametrize("name", EXAMPLES)
 
 
 @cache
-def recorded(name: str) -> Frames:
+def recorded(name: str) -> Array:
     """A part of a recording that ships, (frames, rows, columns) uint8."""
     file, count, part = EXAMPLES[name]
     with open_recording(ROOT / "examples" / file) as recording:
         frames = [recording[number].samples[part] for number in range(count)]
-    result: Frames = np.stack(frames)
+    result: Array = np.stack(frames)
     result.setflags(write=False)
     return result
 
@@ -53,12 +51,12 @@ def smoothing(grey: Any, geometry: object = None) -> Any:
 
 
 def denoised(
-    frames: Frames,
+    frames: Array,
     settings: list[DeviceSettings] | None = None,
     *,
     at_once: int = 1,
     **options: Any,
-) -> Frames:
+) -> Array:
     denoising = Denoising(smoothing, frames=WINDOW, **options)
     sequence = denoising.open_sequence(at_once=at_once)
     shots = (
@@ -71,11 +69,11 @@ def denoised(
 
 
 @cache
-def plain(name: str) -> Frames:
+def plain(name: str) -> Array:
     return denoised(recorded(name))
 
 
-def difference(result: Frames, expected: Frames, noisy: Frames) -> float:
+def difference(result: Array, expected: Array, noisy: Array) -> float:
     """Mean difference, as part of what denoising changes."""
     changed = np.abs(expected.astype(float) - noisy).mean()
     return float(np.abs(result.astype(float) - expected).mean() / changed)
@@ -195,7 +193,7 @@ def test_api_command_and_files_agree(tmp_path: Path, halving: Halving) -> None:
             np.testing.assert_array_equal([frame.samples for frame in result], expected)
 
 
-def denoised_by_halving(frames: Frames) -> Frames:
+def denoised_by_halving(frames: Array) -> Array:
     denoising = Denoising(Halving(), frames=WINDOW)
     shots = (denoising.shot(n, frame, lambda _: None) for n, frame in enumerate(frames))
     return np.stack([result.image for result in denoising.sequence(shots)])

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import simnfnd
+from simnfnd.factory.common.array_types import Array, Float32s
 from simnfnd.models.denoise.removed import Removed, RemovedReport
-from simnfnd.models.denoise.temporal.motion import Grey
 from simnfnd.models.recordings import open_recording
 from tests.models.denoise.untrained import Halving, main
 
@@ -19,28 +18,28 @@ LAMPREY2 = Path(__file__).parents[4] / "shared/data/didson/lamprey2.avi"
 SIDE = 256
 
 
-def scene() -> Grey:
+def scene() -> Array:
     """Brighter to the right, with one step across."""
     levels = np.tile(np.linspace(0.15, 0.4, SIDE, dtype=np.float32), (SIDE, 1))
     levels[SIDE // 2 :] *= 1.5
     return levels
 
 
-def grain(seed: int, *, width_px: float = 0.5) -> Grey:
+def grain(seed: int, *, width_px: float = 0.5) -> Array:
     """Correlated Rayleigh speckle, 0 on average, of standard deviation 1."""
-    speckle: Grey = np.random.default_rng(seed).rayleigh(size=(SIDE, SIDE)).astype(np.float32)
+    speckle: Array = np.random.default_rng(seed).rayleigh(size=(SIDE, SIDE)).astype(np.float32)
     speckle = cv2.GaussianBlur(speckle, (0, 0), width_px, sigmaY=2 * width_px)
     return np.asarray((speckle - speckle.mean()) / speckle.std())
 
 
-def ellipse(shape: tuple[int, ...], row: float, column: float) -> Grey:
+def ellipse(shape: tuple[int, ...], row: float, column: float) -> Array:
     """A soft ellipse with semi-axes of 4 and 10 pixels, in 0..1."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     inside = np.exp(-((((rows - row) / 4) ** 2 + ((columns - column) / 10) ** 2) ** 2))
     return np.asarray(inside, np.float32)
 
 
-def report_of(pairs: list[tuple[Grey, Grey]]) -> tuple[RemovedReport, str]:
+def report_of(pairs: list[tuple[Array, Array]]) -> tuple[RemovedReport, str]:
     report = RemovedReport()
     for number, (noisy, denoised) in enumerate(pairs):
         report.add(f"frame {number}", Removed(noisy, denoised))
@@ -108,10 +107,10 @@ def test_a_target_erased_from_a_real_recording_is_found() -> None:
         frames = [frame.samples[60:420].astype(np.float32) / 255 for frame in recording][:16]
     frames = [frame if frame.ndim == 2 else frame.mean(axis=2) for frame in frames]
     mean = np.mean(frames, axis=0)
-    pairs: list[tuple[Grey, Grey]] = [(frame, mean) for frame in frames]
+    pairs: list[tuple[Array, Array]] = [(frame, mean) for frame in frames]
     assert "no structure found" in report_of(pairs)[1]
 
-    spread: npt.NDArray[np.float32] = np.std(frames, axis=0)
+    spread: Float32s = np.std(frames, axis=0)
     row, column = 300, 130
     pairs[7] = frames[7] + 4 * spread * ellipse(mean.shape, row, column), mean
     _, line = report_of(pairs)

@@ -8,11 +8,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from simnfnd import denoise
 from simnfnd import open_recording as open_shown
+from simnfnd.factory.common.array_types import Array, Float32s
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.adapting.stretches import read_clips
 from simnfnd.models.denoise.images import Denoising
@@ -23,29 +23,27 @@ from simnfnd.models.recordings.repeats import CopyFinder, RepeatFinder
 from tests.models.recordings.fan_images import fan, preset
 from tests.models.recordings.video_files import encode
 
-Bytes = npt.NDArray[Any]
-
 
 @lru_cache(maxsize=1)
-def _pings() -> list[Bytes]:
+def _pings() -> list[Array]:
     sonar = preset("didson_hf", 160, 240)
     still, _ = fan(sonar, 0.3, False)
     speckles = [fan(sonar, 0.3, False, seed=number)[0] for number in range(12)]
     return [((still.astype(np.uint16) + speckle) // 2).astype(np.uint8) for speckle in speckles]
 
 
-def pings(count: int) -> list[Bytes]:
+def pings(count: int) -> list[Array]:
     """One scene with a speckle of its own in each frame, in a fan."""
     return _pings()[:count]
 
 
-def geometry_of(grey: Bytes) -> FanGeometry:
+def geometry_of(grey: Array) -> FanGeometry:
     actual = FanTracker().geometry(grey)
     assert actual is not None
     return actual
 
 
-def half(grey: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
+def half(grey: Float32s, geometry: object = None) -> Float32s:
     return grey / 2
 
 
@@ -121,7 +119,7 @@ def test_adapt_learns_from_no_copy(tmp_path: Path) -> None:
 # --- fans that change -----------------------------------------------------------------------------
 
 
-def shrunk(frame: Bytes) -> Bytes:
+def shrunk(frame: Array) -> Array:
     """The same fan at 70 % of its size on a page of the same size."""
     height, width = frame.shape
     small = cv2.resize(frame, None, fx=0.7, fy=0.7, interpolation=cv2.INTER_NEAREST)
@@ -131,7 +129,7 @@ def shrunk(frame: Bytes) -> Bytes:
     return page
 
 
-def title(frame: Bytes) -> Bytes:
+def title(frame: Array) -> Array:
     page = np.zeros_like(frame)
     cv2.putText(page, "Dive 7", (10, 90), 0, 1.0, (230,), 2)
     return page

@@ -13,9 +13,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Float32s, UInt8s
 from simnfnd.factory.common.ros_types import typestore
 from simnfnd.models.denoise import checkpoint, command, unfinished
 from simnfnd.models.denoise.reports import TABLE
@@ -26,7 +26,6 @@ from tests.models.recordings.bag_files import image as image_message
 from tests.models.recordings.bag_files import write_bag
 from tests.models.recordings.recording_files import pings, write_aris, write_oculus
 
-Bytes = npt.NDArray[np.uint8]
 FRAMES = 44
 
 
@@ -41,14 +40,14 @@ class Smoothing:
         self.number = number
         self.count = 0
 
-    def __call__(self, grey: npt.NDArray[np.float32], geometry: object = None) -> Any:
+    def __call__(self, grey: Float32s, geometry: object = None) -> Any:
         self.count += 1
         if self.count == self.at:
             os.kill(os.getpid(), self.number)
         return cv2.GaussianBlur(grey, (0, 0), 1.5)
 
 
-def moving_scene(count: int = FRAMES, side: int = 48) -> Bytes:
+def moving_scene(count: int = FRAMES, side: int = 48) -> UInt8s:
     """(count, side, side): a drifting scene, with a frame that is repeated."""
     ground = scene(0, side, side)
     frames = [noisy(np.roll(ground, number // 9, 1), number) for number in range(count)]

@@ -7,13 +7,13 @@ from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 import pytest
 import scipy.io
 import tifffile
 from PIL import Image
 
 from simnfnd import denoise
+from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise.video_writer import TimedImage
 from simnfnd.models.denoise.writers import write_frames
@@ -21,10 +21,8 @@ from simnfnd.models.recordings import kind_of, open_recording
 from tests.models.denoise.untrained import main
 from tests.models.recordings.recording_files import pings
 
-Bytes = npt.NDArray[Any]
 
-
-def animated(path: Path, frames: Bytes, **more: Any) -> Path:
+def animated(path: Path, frames: Array, **more: Any) -> Path:
     first, *others = map(Image.fromarray, frames)
     first.save(path, save_all=True, append_images=others, duration=120, **more)
     return path
@@ -122,7 +120,7 @@ def test_a_tiff_of_doubles(tmp_path: Path) -> None:
 # --- arrays ---------------------------------------------------------------------------------------
 
 
-def matlab_73(path: Path, name: str, array: Bytes, kind: str = "uint8") -> Path:
+def matlab_73(path: Path, name: str, array: Array, kind: str = "uint8") -> Path:
     """As save(..., '-v7.3') does: HDF5 behind 512 bytes, axes the other way round."""
     with h5py.File(path, "w", userblock_size=512) as file:
         stored = file.create_dataset(name, data=array.transpose(), compression=4)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main as simnfnd_main
+from simnfnd.factory.common.array_types import Float32s
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.files import explain_os_errors, space, write_atomically
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise import command, writers
-from simnfnd.models.denoise.images import Grey
 from simnfnd.models.denoise.journal import JOURNAL_NAME, opened_journal
 from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.recordings.inputs import InputFile, items_below
@@ -34,20 +34,20 @@ class Stopping:
         self.number = number
         self.count = 0
 
-    def __call__(self, grey: Grey, geometry: FanGeometry | None = None) -> Grey:
+    def __call__(self, grey: Float32s, geometry: FanGeometry | None = None) -> Float32s:
         self.count += 1
         if self.count == self.at:
             os.kill(os.getpid(), self.number)
         return self.denoised(grey)
 
-    def denoised(self, grey: Grey) -> Grey:
+    def denoised(self, grey: Float32s) -> Float32s:
         return grey / 2
 
 
 class Smoothing(Stopping):
     """Smooths, so that the recording finds a strength for it."""
 
-    def denoised(self, grey: Grey) -> Grey:
+    def denoised(self, grey: Float32s) -> Float32s:
         return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.5), np.float32)
 
 

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from simnfnd import denoise
+from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.temporal.fusion import Fusion, Neighbour
-from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
+from simnfnd.models.denoise.temporal.motion import Aligner, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, SequenceFrame
 from simnfnd.models.denoise.temporal.strength import Strength
 from simnfnd.models.recordings import open_recording
@@ -29,7 +30,7 @@ NOISE = 0.05
 LAMPREY = Path("examples/didson/lamprey.avi")
 
 
-def scene(side: int = SIDE + 2 * MARGIN, seed: int = 3) -> Grey:
+def scene(side: int = SIDE + 2 * MARGIN, seed: int = 3) -> Array:
     """Ground with stones, smooth enough to be moved below a pixel."""
     rng = np.random.default_rng(seed)
     ground = cv2.GaussianBlur(rng.normal(0, 1, (side, side)).astype(np.float32), (0, 0), 3)
@@ -37,7 +38,7 @@ def scene(side: int = SIDE + 2 * MARGIN, seed: int = 3) -> Grey:
     return np.clip(0.3 + 0.8 * ground + 6 * stones, 0.05, 0.9).astype(np.float32)
 
 
-def view(wide: Grey, right: float = 0, down: float = 0, turn_deg: float = 0) -> Grey:
+def view(wide: Array, right: float = 0, down: float = 0, turn_deg: float = 0) -> Array:
     """A window of a scene, moved right and down by as much, and turned around its middle."""
     middle = MARGIN + (SIDE - 1) / 2
     matrix: Any = cv2.getRotationMatrix2D((middle, middle), turn_deg, 1.0)
@@ -46,17 +47,17 @@ def view(wide: Grey, right: float = 0, down: float = 0, turn_deg: float = 0) -> 
     return np.array(np.clip(moved, 0, 1), dtype=np.float32)
 
 
-def noisy(image: Grey, seed: int) -> Grey:
+def noisy(image: Array, seed: int) -> Array:
     noise = np.random.default_rng(seed).normal(0, NOISE, image.shape)
-    noisy_frame: Grey = np.clip(image + noise, 0, 1).astype(np.float32)
+    noisy_frame: Array = np.clip(image + noise, 0, 1).astype(np.float32)
     return noisy_frame
 
 
-def error(image: Grey, truth: Grey, edge: int = 12) -> float:
+def error(image: Array, truth: Array, edge: int = 12) -> float:
     return float((image - truth)[edge:-edge, edge:-edge].std())
 
 
-def motion_between(first: Grey, second: Grey) -> Motion | None:
+def motion_between(first: Array, second: Array) -> Motion | None:
     """Where the pixels of the second lie in the first."""
     aligner = Aligner(4)
     aligner.add(0, first)
@@ -64,17 +65,17 @@ def motion_between(first: Grey, second: Grey) -> Motion | None:
     return aligner.motion(1, 0)
 
 
-def as_it_is(grey: Grey, geometry: FanGeometry | None = None) -> Grey:
+def as_it_is(grey: Array, geometry: FanGeometry | None = None) -> Array:
     return grey
 
 
-def shots(frames: list[Grey]) -> Iterator[SequenceFrame]:
+def shots(frames: list[Array]) -> Iterator[SequenceFrame]:
     return (SequenceFrame(number, frame) for number, frame in enumerate(frames))
 
 
 def through(
-    frames: list[Grey], *, window: int = 7, causal: bool = False, calibrated: bool = True
-) -> tuple[list[Grey], dict[str, float]]:
+    frames: list[Array], *, window: int = 7, causal: bool = False, calibrated: bool = True
+) -> tuple[list[Array], dict[str, float]]:
     tally = defaultdict[str, float](float)
     stream = InTime(as_it_is, frames=window, causal=causal, calibrated=calibrated, tally=tally)
     denoised = list(stream(shots(frames)))
@@ -108,7 +109,7 @@ def test_frames_are_laid_over_each_other_below_a_pixel(
 def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
     frames = [noisy(view(scene(seed=number)), number) for number in range(9)]
 
-    def halving(grey: Grey, geometry: FanGeometry | None = None) -> Grey:
+    def halving(grey: Array, geometry: FanGeometry | None = None) -> Array:
         return grey / 2
 
     denoising = Denoising(halving)
@@ -129,7 +130,7 @@ def test_where_nothing_moves_all_frames_count() -> None:
     assert error(denoised[6], truth) < 1.03 * error(plain, truth)
 
 
-def fused_by_the_window(frames: list[Grey], learning: int = 12) -> dict[int, Grey]:
+def fused_by_the_window(frames: list[Array], learning: int = 12) -> dict[int, Array]:
     """Each frame with three before and three after it, by one fusion; static sonar."""
     fusion = Fusion()
     visible = np.ones_like(frames[0])
@@ -276,15 +277,15 @@ def test_the_recording_chooses_the_strength() -> None:
     class Knows:
         knows_frames = True
 
-        def __init__(self, clean: Grey) -> None:
+        def __init__(self, clean: Array) -> None:
             self.clean = clean
 
         def __call__(
-            self, grey: Grey, geometry: FanGeometry | None = None, *, frames: Grey | None = None
-        ) -> Grey:
+            self, grey: Array, geometry: FanGeometry | None = None, *, frames: Array | None = None
+        ) -> Array:
             return self.clean
 
-    def chosen(clean: Grey) -> Strength:
+    def chosen(clean: Array) -> Strength:
         stream = InTime(Knows(clean))
         list(stream(shots(frames)))
         return stream.strength
@@ -322,7 +323,7 @@ def test_lamprey_gains_in_time() -> None:
     stack = stack if stack.ndim == 3 else stack[..., 0]
     levels = stack.astype(np.float32) / 255
 
-    def decibels(denoised: Grey, number: int) -> float:
+    def decibels(denoised: Array, number: int) -> float:
         # Frames beside it only: the recording has too few for a window of seven and a reference.
         others = [n for n in range(len(levels)) if abs(n - number) > 1]
         truth = levels[others].mean(axis=0)

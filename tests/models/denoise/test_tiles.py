@@ -7,11 +7,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage
 
+from simnfnd.factory.common.array_types import Float32s
 from simnfnd.models.denoise.denoiser import Denoiser, tiled
-from simnfnd.models.denoise.images import Grey
 from tests.small_dataset import fan_images
 
 
@@ -20,7 +19,7 @@ def test_tiles_leave_no_seam() -> None:
     image = rng.random((90, 130)).astype(np.float32)
     scale = {"scale": np.linspace(0, 1, 90 * 130, dtype=np.float32).reshape(90, 130)}
 
-    def local(part: npt.NDArray[np.float32], maps: Any) -> npt.NDArray[np.float32]:
+    def local(part: Float32s, maps: Any) -> Float32s:
         # What a network with a small field of view does: pixels and their neighbours.
         return np.asarray(ndimage.uniform_filter(part, 5, mode="nearest") * maps["scale"])
 
@@ -43,7 +42,7 @@ def test_large_images_are_denoised_in_tiles(weights: Path) -> None:
     assert parts.dtype == np.float32
 
 
-def grain(side: int, seed: int = 0) -> Grey:
+def grain(side: int, seed: int = 0) -> Float32s:
     """Ground with things on it, and grain that is one pixel wide."""
     rng = np.random.default_rng(seed)
     truth = ground(side)
@@ -51,14 +50,14 @@ def grain(side: int, seed: int = 0) -> Grey:
     return np.asarray(noise.clip(0, 1), np.float32)
 
 
-def ground(side: int) -> Grey:
+def ground(side: int) -> Float32s:
     row, column = np.mgrid[:side, :side] / side
     level = 0.35 + 0.15 * np.sin(5 * row + 3 * column)
     level[(row > 0.4) & (row < 0.6) & (column > 0.3) & (column < 0.5)] = 0.7
     return np.asarray(level, np.float32)
 
 
-def larger(grey: Grey, times: float) -> Grey:
+def larger(grey: Float32s, times: float) -> Float32s:
     actual = cv2.resize(grey, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR)
     return np.asarray(actual, np.float32)
 

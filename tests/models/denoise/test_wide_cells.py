@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from simnfnd.factory.common.array_types import Float32s
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import Denoiser
-from simnfnd.models.denoise.images import Grey
 from simnfnd.models.denoise.polar import Maps, polar_grid, sampled
 from simnfnd.models.denoise.wide_cells import by_cells, cell_width
 from tests.models.denoise.test_golden import pairs, psnr
@@ -21,8 +21,8 @@ SIDE = 256  # of the images that are enlarged
 class Enlarged(NamedTuple):
     """An image of points whose cells are some pixels wide, (H, W), without noise, and its maps."""
 
-    noisy: Grey
-    clean: Grey
+    noisy: Float32s
+    clean: Float32s
     geometry: FanGeometry
     maps: Maps
 
@@ -57,7 +57,7 @@ def test_a_network_sees_a_grid_of_cells(width: float, side: int) -> None:
     image = enlarged(width)
     sides = []
 
-    def denoise(grey: Grey, maps: Maps) -> Grey:
+    def denoise(grey: Float32s, maps: Maps) -> Float32s:
         assert all(plane.shape == grey.shape for plane in maps.values())
         # All of a row have one range where cells are wide: a network takes that for polar.
         assert (polar_grid(maps) is None) == (width > 1)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
+from simnfnd.factory.common.array_types import Array, Float32s, Float64s
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise import command
-from simnfnd.models.denoise.images import Grey
 from simnfnd.models.denoise.journal import JOURNAL_NAME
 from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.networks import build_network
@@ -21,7 +19,7 @@ from simnfnd.models.networks.weights import load_weights, save_weights
 TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
 
 
-def half(grey: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
+def half(grey: Float32s, geometry: object = None) -> Float32s:
     """A denoiser whose result is easy to foretell."""
     return grey / 2
 
@@ -38,7 +36,7 @@ def untrained_sonarnet(folder: Path) -> Path:
     return path
 
 
-def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+def through_network(weights: Path, image: Array) -> Float64s:
     network = load_weights(weights).network
     with torch.inference_mode():
         result = network(torch.from_numpy(image.astype(np.float32))[None, None])
@@ -65,7 +63,7 @@ class Halving:
     def __init__(self) -> None:
         self.geometries: list[FanGeometry | None] = []
 
-    def __call__(self, grey: Grey, geometry: FanGeometry | None = None) -> Grey:
+    def __call__(self, grey: Float32s, geometry: FanGeometry | None = None) -> Float32s:
         assert grey.ndim == 2
         self.geometries.append(geometry)
         return grey / 2

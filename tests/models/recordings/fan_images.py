@@ -6,16 +6,14 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
+from simnfnd.factory.common.array_types import Array, UInt8s
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.factory.simulation.sonar.fan import fan_table
 from simnfnd.factory.simulation.sonar.settings import SonarSettings
-
-Grey = npt.NDArray[np.uint8]
 
 
 def preset(name: str, width: int, height: int) -> SonarSettings:
@@ -28,7 +26,9 @@ def preset(name: str, width: int, height: int) -> SonarSettings:
     return settings
 
 
-def fan(sonar: SonarSettings, near: float, holes: bool, seed: int = 0) -> tuple[Grey, FanGeometry]:
+def fan(
+    sonar: SonarSettings, near: float, holes: bool, seed: int = 0
+) -> tuple[UInt8s, FanGeometry]:
     """Speckle with gains along range and across; with holes, half of it is zero, and a shadow."""
     rng = np.random.default_rng(seed)
     polar = rng.rayleigh(0.15, (sonar.range_bins, sonar.beams))
@@ -44,10 +44,9 @@ def fan(sonar: SonarSettings, near: float, holes: bool, seed: int = 0) -> tuple[
 
 LEFT = 140
 TOP = 30
-Image = npt.NDArray[Any]
 
 
-def screen(fan: Image, inside: Image, ground: tuple[int, int, int]) -> Image:
+def screen(fan: Array, inside: Array, ground: tuple[int, int, int]) -> Array:
     """(H, W, 3): a fan, grey or in colours, where `inside`, from (TOP, LEFT) on; text, a panel."""
     height, width = inside.shape
     image = np.full((height + 2 * TOP, width + 2 * LEFT, 3), ground, np.uint8)
@@ -62,7 +61,7 @@ def screen(fan: Image, inside: Image, ground: tuple[int, int, int]) -> Image:
     return image
 
 
-def with_rings(image: Image, fan: FanGeometry, colour: tuple[int, int, int]) -> Image:
+def with_rings(image: Array, fan: FanGeometry, colour: tuple[int, int, int]) -> Array:
     """A screen with rings of range and a bearing drawn into its fan."""
     drawn = image.copy()
     apex = round(fan.apex_x_px) + LEFT, round(fan.apex_y_px) + TOP

@@ -13,20 +13,19 @@ import numpy.typing as npt
 import scipy.io
 from PIL import Image
 
+from simnfnd.factory.common.array_types import UInt8s
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
 """Recordings of real sonars; tests on them are skipped where they are not."""
 
-Bytes = npt.NDArray[np.uint8]
 
-
-def pings(count: int, ranges: int, beams: int) -> Bytes:
+def pings(count: int, ranges: int, beams: int) -> UInt8s:
     """(count, ranges, beams) uint8, near range first, beams from left to right."""
     return np.random.default_rng(7).integers(0, 256, (count, ranges, beams), dtype=np.uint8)
 
 
-def write_aris(path: Path, samples: Bytes, *, telephoto: bool = False, **changed: int) -> Path:
+def write_aris(path: Path, samples: UInt8s, *, telephoto: bool = False, **changed: int) -> Path:
     """An ARIS 3000 or 1800 recording from 2 m on, 20 us a sample, 1500 m/s.
 
     changed: other values of integers of the frame headers, as `offset_436=1`.
@@ -59,7 +58,7 @@ def write_aris(path: Path, samples: Bytes, *, telephoto: bool = False, **changed
 
 def write_ddf(
     path: Path,
-    samples: Bytes,
+    samples: UInt8s,
     *,
     version: int = 3,
     serial: int = 100,
@@ -148,7 +147,7 @@ def write_stack(path: Path, pages: Any) -> Path:
     return path
 
 
-def write_video(path: Path, frames: Bytes) -> Path:
+def write_video(path: Path, frames: UInt8s) -> Path:
     """Motion JPEG in an AVI, ten frames a second."""
     height, width = frames.shape[1:3]
     code = cv2.VideoWriter.fourcc(*"MJPG")
@@ -167,7 +166,7 @@ def write_gif(path: Path, frames: Any) -> Path:
     return path
 
 
-def write_log(path: Path, samples: Bytes, *, packed: bool = False) -> Path:
+def write_log(path: Path, samples: UInt8s, *, packed: bool = False) -> Path:
     """A log of ViewPoint with a ping in every other item; each second later from 1.6e9 s on."""
     parts = [struct.pack("<2I16s2H4xqd", 0x11223344, 48, b"Oculus", 1, 0, 0, 1.6e9)]
     for number in range(len(samples)):

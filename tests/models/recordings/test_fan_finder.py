@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import csv
 import math
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Array, UInt8s
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.recordings.fan_finder import find_geometry
 from simnfnd.models.recordings.palettes import find_painted
-from tests.models.recordings.fan_images import LEFT, TOP, Grey, fan, preset, screen
+from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
@@ -157,10 +156,10 @@ def test_fans_between_drawn_lines_of_chart_plotters() -> None:
         assert math.degrees(fan.sector_rad) == pytest.approx(150.3, abs=1)
 
 
-def no_fans() -> dict[str, npt.NDArray[Any]]:
+def no_fans() -> dict[str, Array]:
     rng = np.random.default_rng(0)
     noise = rng.rayleigh(60, (300, 400)).clip(1, 255).astype(np.uint8)
-    images: dict[str, Grey] = {
+    images: dict[str, UInt8s] = {
         "noise": noise,
         "nothing": np.zeros((300, 400), np.uint8),
         "one pixel": np.zeros((300, 400), np.uint8),

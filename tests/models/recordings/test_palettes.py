@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from simnfnd.factory.common.array_types import Array
 from simnfnd.models.recordings.palettes import SUM, find_painted, grey_of_colours
 from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen, with_rings
 
 KNOWN = ("JET", "TURBO", "RAINBOW", "VIRIDIS", "HOT", "OCEAN", "BONE", "PARULA", "INFERNO")
-Bytes = npt.NDArray[Any]
 
 
-def ramp_of(*corners: tuple[float, float, float]) -> Bytes:
+def ramp_of(*corners: tuple[float, float, float]) -> Array:
     """(256, 1, 3) colours, straight from corner to corner, which lie at 0, 0.8 and 1."""
     at = [0, 0.8, 1]
     steps = np.linspace(0, 1, 256)
@@ -31,7 +28,7 @@ COPPER = ramp_of(*(tuple(np.minimum(255, t * np.array([127, 199, 319]))) for t i
 BRONZE = ramp_of((0, 0, 0), (20, 110, 220), (200, 255, 255))
 
 
-def echoes(seed: int = 0) -> Bytes:
+def echoes(seed: int = 0) -> Array:
     """Levels as of a sonar: a dim ground with grain, bright things, and nothing at the sides."""
     rng = np.random.default_rng(seed)
     level = 70 + 50 * np.sin(np.linspace(0, 6, 160))[:, None] + rng.normal(0, 16, (160, 120))
@@ -40,7 +37,7 @@ def echoes(seed: int = 0) -> Bytes:
     return np.asarray(np.clip(level, 0, 255), np.uint8)
 
 
-def painted(levels: Bytes, name: str) -> Bytes:
+def painted(levels: Array, name: str) -> Array:
     return np.asarray(cv2.applyColorMap(levels, getattr(cv2, f"COLORMAP_{name}")), np.uint8)
 
 
@@ -61,7 +58,7 @@ def test_levels_of_known_maps(name: str, order: int) -> None:
 
 
 @pytest.mark.parametrize("ramp", [COPPER, BRONZE], ids=["copper", "bronze"])
-def test_levels_of_an_unknown_map(ramp: Bytes) -> None:
+def test_levels_of_an_unknown_map(ramp: Array) -> None:
     levels = echoes()
     actual = find_painted(cv2.applyColorMap(levels, ramp))
     assert actual is not None
@@ -133,7 +130,7 @@ def test_marks_over_a_map_on_a_screen(name: str | None) -> None:
 
 def test_colours_of_no_map() -> None:
     rng = np.random.default_rng(1)
-    cases: list[npt.NDArray[Any]] = [
+    cases: list[Array] = [
         rng.integers(0, 256, (60, 60, 3), dtype=np.uint8),
         np.dstack([echoes()] * 3),
         echoes(),

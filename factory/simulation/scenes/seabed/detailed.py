@@ -13,8 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ....common.array_types import Float64s
 from ....common.seeds import stream
-from ...meshes.arrays import Draws, Points
+from ...meshes.arrays import Draws
 from ...meshes.triangle_mesh import (
     Mesh,
     bars,
@@ -57,7 +58,7 @@ def car_tyre(rng: Draws) -> Mesh:
     return shape.turned("x", lean + rng.uniform(-0.06, 0.06)).standing()
 
 
-def _carcass(outer: float, rim: float, width: float, colour: Points) -> Mesh:
+def _carcass(outer: float, rim: float, width: float, colour: Float64s) -> Mesh:
     """The hollow body: outside, tread and inside, 96 segments around."""
     deep = outer - rim
     radii = [rim, rim + 0.12 * deep, rim + 0.45 * deep, rim + 0.8 * deep, 0.97 * outer, outer]
@@ -119,7 +120,7 @@ def inner_tube(rng: Draws) -> Mesh:
 # --- chains -----------------------------------------------------------------------------------
 
 
-def _link(wire: float, long: float, wide: float, stud: bool, colour: Points) -> Mesh:
+def _link(wire: float, long: float, wide: float, stud: bool, colour: Float64s) -> Mesh:
     """A link along x: an oval of round wire, perhaps with a stud across; sizes in wires."""
     bend = np.linspace(0, 2 * np.pi, 18, endpoint=False)
     straight = (long - wide) / 2
@@ -132,7 +133,7 @@ def _link(wire: float, long: float, wide: float, stud: bool, colour: Points) -> 
     return join(parts)
 
 
-def _linked(rng: Draws, line: Points, wire: float) -> Mesh:
+def _linked(rng: Draws, line: Float64s, wire: float) -> Mesh:
     """Links along an (N, 3) line of points 5 cm apart, every second one on edge."""
     colour = pick(rng, _METALS)
     long = rng.uniform(3.6, 4.6)

@@ -16,8 +16,9 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
+from ....common.array_types import Float32s, Float64s, Floats, Int32s
 from ....common.seeds import stream
-from ...meshes.arrays import Arrays, Colour, Draws, Floats, Points
+from ...meshes.arrays import Colour, Draws
 from ...meshes.waves import Waves
 
 Range = tuple[float, float]
@@ -52,12 +53,12 @@ def catalogue() -> dict[str, Any]:
     return document
 
 
-def pick(rng: Draws, colours: Sequence[Colour], shades: Range = (0.75, 1.2)) -> Points:
+def pick(rng: Draws, colours: Sequence[Colour], shades: Range = (0.75, 1.2)) -> Float64s:
     """One of the colours, a little lighter or darker."""
     return np.array(colours[int(rng.integers(len(colours)))]) * rng.uniform(*shades)
 
 
-def smoothstep(low: float | Arrays, high: float | Arrays, x: Arrays) -> Floats:
+def smoothstep(low: float | Floats, high: float | Floats, x: Floats) -> Float32s:
     """0 below `low`, 1 above `high`, a smooth ramp between."""
     t = np.clip((x - low) / (high - low), 0, 1).astype(np.float32)
     return t * t * (3 - 2 * t)
@@ -72,9 +73,9 @@ class NoiseTiles(NamedTuple):
     rock_relief, sand_relief: (TILE, TILE).
     """
 
-    texture: npt.NDArray[np.int32]
-    rock_relief: Floats
-    sand_relief: Floats
+    texture: Int32s
+    rock_relief: Float32s
+    sand_relief: Float32s
 
 
 @functools.cache
@@ -98,7 +99,7 @@ def tiles() -> NoiseTiles:
     return NoiseTiles(steps.view("<i4")[..., 0], rock, sand)
 
 
-def _fractal(rng: Draws, fewest_cycles: float, most_cycles: float, roughness: float) -> Floats:
+def _fractal(rng: Draws, fewest_cycles: float, most_cycles: float, roughness: float) -> Float32s:
     """Periodic spectral noise whose amplitude goes as frequency ** -(1 + roughness)."""
     frequency = np.hypot(np.fft.fftfreq(TILE)[:, None], np.fft.rfftfreq(TILE)[None]) * TILE
     band = (frequency >= fewest_cycles) & (frequency <= most_cycles)
@@ -107,7 +108,7 @@ def _fractal(rng: Draws, fewest_cycles: float, most_cycles: float, roughness: fl
     return _unit(np.fft.irfft2(white * gain, s=(TILE, TILE)))
 
 
-def _cells(rng: Draws, across: int) -> Floats:
+def _cells(rng: Draws, across: int) -> Float32s:
     """Periodic lumps: how much nearer the nearest of across x across scattered points is."""
     side = TILE // 2
     scattered = rng.random((across, across, 2), dtype=np.float32)  # one in each square of a grid
@@ -129,7 +130,7 @@ def _cells(rng: Draws, across: int) -> Floats:
     return _unit(np.sqrt(np.maximum(lumps, 0)))
 
 
-def _unit(field: Arrays) -> Floats:
+def _unit(field: Floats) -> Float32s:
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
 
 
@@ -166,12 +167,12 @@ class Banks:
         self._ragged = Waves(rng, 3.5, 0.5, 0.9)
         self._ragged_m = rng.uniform(0.15, 0.26)
 
-    def axis_offset_m(self, along_m: Arrays) -> Floats:
+    def axis_offset_m(self, along_m: Floats) -> Float32s:
         """How far the winding axis is to the left of a straight line, at distances along it."""
         winding = self._winding(along_m, np.zeros_like(along_m)) - self._winding([0], [0])
         return np.asarray(self._winding_m * winding)
 
-    def behind_foot_m(self, x: Arrays, y: Arrays) -> Floats:
+    def behind_foot_m(self, x: Floats, y: Floats) -> Float32s:
         """Distance behind the foot of the nearest wall, negative in front of it."""
         c, s = self._turn
         along = c * x + s * y
@@ -198,7 +199,7 @@ class Ripples:
         self._patches = Waves(rng, 8.0, 1.5, 0.8)
         self._level = _level(rng.uniform(*cover))
 
-    def height(self, x: Floats, y: Floats) -> Floats:
+    def height(self, x: Float32s, y: Float32s) -> Float32s:
         """From -1 (trough) to 1 (crest), 0 outside the patches."""
         phase = self._rates[0] * x + self._rates[1] * y
         phase += np.float32(self._bend_rad) * self._bend(x, y)
@@ -219,9 +220,9 @@ class Ground(NamedTuple):
     its standard deviation, negative in crevices.
     """
 
-    points: Floats
-    normals: Floats
-    attributes: Floats
+    points: Float32s
+    normals: Float32s
+    attributes: Float32s
 
 
 class Terrain:
@@ -250,11 +251,11 @@ class Terrain:
         relief = rng.uniform(*place["relief"])
         self._relief_m = rock_m * relief, sand_m * relief
 
-    def height_m(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
+    def height_m(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Float32s:
         """(...) float32 height without the fine relief."""
         return self._shape(np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32))[0]
 
-    def _shape(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    def _shape(self, x: Float32s, y: Float32s) -> tuple[Float32s, Float32s]:
         """Height without the fine relief, and rockiness: 0 on loose ground, 1 on rock."""
         outcrop = self._outcrop(x, y)
         level = self._bare
@@ -270,7 +271,7 @@ class Terrain:
         return np.asarray(height, dtype=np.float32), rock
 
     def seen_from(
-        self, eye: Points, azimuths_rad: Range, elevations_rad: Range, shape: tuple[int, int]
+        self, eye: Float64s, azimuths_rad: Range, elevations_rad: Range, shape: tuple[int, int]
     ) -> Ground:
         """A fan of ground under a camera at `eye`, as fine in each direction as the camera sees it.
 
@@ -303,7 +304,7 @@ class Terrain:
         y = eye[1] + radius * np.sin(heading)
         return self._surface(x.astype(np.float32), y.astype(np.float32))
 
-    def _surface(self, x: Floats, y: Floats) -> Ground:
+    def _surface(self, x: Float32s, y: Float32s) -> Ground:
         """The ground at (R, C) places."""
         from .kernels import add_relief, normals_of_grid
 
@@ -325,7 +326,7 @@ class Terrain:
         return Ground(points, normals_of_grid(points), attributes)
 
 
-def _mean_down(values: Points, width: int) -> Points:
+def _mean_down(values: Float64s, width: int) -> Float64s:
     """Mean over `width` (odd) neighbours down each column, the border repeated."""
     padded = np.pad(values, ((width // 2 + 1, width // 2), (0, 0)), mode="edge")
     total = np.cumsum(padded, axis=0)

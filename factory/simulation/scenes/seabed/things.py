@@ -14,8 +14,9 @@ from operator import itemgetter
 
 import numpy as np
 
+from ....common.array_types import Float32s, Float64s
 from ....common.seeds import stream
-from ...meshes.arrays import Draws, Floats, Points
+from ...meshes.arrays import Draws
 from ...meshes.triangle_mesh import (
     Mesh,
     bars,
@@ -32,7 +33,7 @@ from ...meshes.triangle_mesh import (
 from ...meshes.waves import Waves
 from .terrain import WORLD_SEED, catalogue, pick, smoothstep
 
-GroundHeight = Callable[[Points, Points], Floats]
+GroundHeight = Callable[[Float64s, Float64s], Float32s]
 
 GLASS, PAINTS, STONES, CORALS, LEAVES, CONCRETE, (RUST, BRONZE, STEEL) = itemgetter(
     "glass", "paint", "stone", "coral", "leaf", "concrete", "metal"
@@ -230,12 +231,12 @@ def coral(rng: Draws) -> Mesh:
     return form(rng, pick(rng, CORALS))
 
 
-def _branching(rng: Draws, colour: Points) -> Mesh:
+def _branching(rng: Draws, colour: Float64s) -> Mesh:
     """Branches that fork three times, pale at the tips."""
     size = rng.uniform(0.14, 0.4)
     parts: list[Mesh] = []
 
-    def grow(start: Points, heading: Points, length: float, level: int) -> None:
+    def grow(start: Float64s, heading: Float64s, length: float, level: int) -> None:
         heading = heading / np.linalg.norm(heading)
         wobble = heading + rng.normal(0, 0.25, 3)
         middle = start + heading * length * 0.5
@@ -254,7 +255,7 @@ def _branching(rng: Draws, colour: Points) -> Mesh:
     return join(parts)
 
 
-def _table(rng: Draws, colour: Points) -> Mesh:
+def _table(rng: Draws, colour: Float64s) -> Mesh:
     """A stalk under one or two thin plates with a ragged rim."""
     radius = rng.uniform(0.25, 0.7)
     height = rng.uniform(0.14, 0.4)
@@ -269,14 +270,14 @@ def _table(rng: Draws, colour: Points) -> Mesh:
     return replace(plate, vertices=points.astype(np.float32))
 
 
-def _brain(rng: Draws, colour: Points) -> Mesh:
+def _brain(rng: Draws, colour: Float64s) -> Mesh:
     """A knobbly dome."""
     radius = rng.uniform(0.1, 0.45)
     dome = sphere(4).moved(scale=(radius, radius, radius * rng.uniform(0.6, 0.95)))
     return rough(dome.tinted(colour), rng, radius * 0.045, radius * 0.7, radius * 0.18)
 
 
-def _tubes(rng: Draws, colour: Points) -> Mesh:
+def _tubes(rng: Draws, colour: Float64s) -> Mesh:
     """A clump of open tube sponges."""
     profile = [[0.7, 0], [0.8, 0.4], [1.0, 0.9], [1.05, 1.0], [0.75, 1.0], [0.5, 0.6], [0, 0.4]]
     parts = []
@@ -289,7 +290,7 @@ def _tubes(rng: Draws, colour: Points) -> Mesh:
     return join(parts)
 
 
-def _fan(rng: Draws, colour: Points) -> Mesh:
+def _fan(rng: Draws, colour: Float64s) -> Mesh:
     """A sea fan: twigs spread in one plane."""
     size = rng.uniform(0.25, 0.6)
     parts = [tube(np.array([[0, 0, 0], [0, 0, size * 0.3]]), size * 0.03, 6, colour=colour)]
@@ -465,7 +466,7 @@ def anchor(rng: Draws) -> Mesh:
     return laid.moved((-size / 2, 0, -0.06 * size))
 
 
-def curve(rng: Draws, start: Points, length_m: float, wander: float) -> Points:
+def curve(rng: Draws, start: Float64s, length_m: float, wander: float) -> Float64s:
     """(N, 2) points every 5 cm from `start` along a heading that wanders."""
     count = max(int(length_m / 0.05), 8)
     turns = np.interp(np.arange(count), np.linspace(0, count, 9), rng.normal(0, wander, 9))
@@ -474,7 +475,7 @@ def curve(rng: Draws, start: Points, length_m: float, wander: float) -> Points:
     return np.asarray(start + np.cumsum(steps, axis=0) - steps.sum(axis=0) / 2)
 
 
-def chain(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
+def chain(rng: Draws, line: Float64s, ground: GroundHeight) -> Mesh:
     """Studless links along a line on the ground, every second one on edge."""
     wire = float(rng.uniform(0.016, 0.04))
     pitch = wire * 3.9
@@ -495,7 +496,7 @@ def chain(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
     return join(links)
 
 
-def pipe(rng: Draws, line: Points, ground: GroundHeight) -> Mesh:
+def pipe(rng: Draws, line: Float64s, ground: GroundHeight) -> Mesh:
     """A pipe along a line, part buried, bridging hollows, with flanges."""
     radius = float(rng.uniform(0.07, 0.3))
     paint = pick(rng, (RUST, STEEL, PAINTS[3], PAINTS[1], (0.3, 0.3, 0.28)))
@@ -527,7 +528,7 @@ def pile(rng: Draws, height_m: float, radius_m: float) -> Mesh:
     return rough(shaft, rng, 0.06 * radius_m + 0.006, 0.7, 0.09)
 
 
-def brace(rng: Draws, start: Points, end: Points) -> Mesh:
+def brace(rng: Draws, start: Float64s, end: Float64s) -> Mesh:
     """A beam between two piles, overgrown."""
     path = start + np.linspace(0, 1, 30)[:, None] * (end - start)
     beam = tube(path, rng.uniform(0.07, 0.12), 14, colour=pick(rng, (RUST, STEEL, CONCRETE[1])))
@@ -629,7 +630,7 @@ def _wall_piece(rng: Draws) -> Mesh:
     return box((length_m, thickness_m, height_m), colour=pick(rng, CONCRETE))
 
 
-def _flat_ground(x: Points, y: Points) -> Floats:
+def _flat_ground(x: Float64s, y: Float64s) -> Float32s:
     return np.zeros(x.shape, np.float32)
 
 

@@ -6,12 +6,12 @@ import functools
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
+from ....common.array_types import Bools, Float32s, UInt8s
 from ....common.seeds import stream
 from ....dataset.frame_ref import FrameRef
 from ...frames.frame import Frame, Intrinsics, Surroundings
-from ...meshes.arrays import Draws, Floats
+from ...meshes.arrays import Draws
 from ...meshes.camera import Optics, Pose, Stance, ZBuffer, camera, centred, moved, pose
 from ...meshes.triangle_mesh import grid_triangles
 from .terrain import FAR_M, TILE, WORLD_SEED, Ground, tiles
@@ -108,9 +108,7 @@ def field_of_view(
     return azimuths, (float(up.min() - 0.04), float(up.max() + 0.04))
 
 
-def camera_image(
-    world: SeabedWorld, ground: Ground, z_buffer: ZBuffer, exposure: float
-) -> npt.NDArray[np.uint8]:
+def camera_image(world: SeabedWorld, ground: Ground, z_buffer: ZBuffer, exposure: float) -> UInt8s:
     """The (H, W, 3) image of what a z-buffer met.
 
     exposure: how bright its bright parts are, 0 to 1.  Colours are those of every second pixel.
@@ -137,7 +135,7 @@ def camera_image(
     bright = max(float(np.percentile((some - black).max(axis=-1), 97)), 1e-3)
     gamma = np.round(255 * (np.arange(4096) / 4095) ** (1 / 2.2)).astype(np.uint8)
     gain = np.float32(exposure / bright)
-    rgb: npt.NDArray[np.uint8] = kernels.expose(colour, black, gain, gamma, *z_buffer.which.shape)
+    rgb: UInt8s = kernels.expose(colour, black, gain, gamma, *z_buffer.which.shape)
     return rgb
 
 
@@ -152,7 +150,7 @@ def sunlit(world: SeabedWorld, viewpoint: Pose) -> ZBuffer:
     return ZBuffer(sun, optics, world.objects)
 
 
-def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> npt.NDArray[np.bool_]:
+def measured(rng: Draws, depth_m: Float32s, range_m: Float32s, clear_m: float) -> Bools:
     """(H, W) bool: pixels that keep their depth, decided for every second one.
 
     As in depth maps computed from camera images: far water, depth edges and patches have none.
@@ -190,7 +188,7 @@ def measured(rng: Draws, depth_m: Floats, range_m: Floats, clear_m: float) -> np
     return np.asarray(whole & (depth_m < _FURTHEST_M))
 
 
-def least_around(values: Floats, reach: int) -> Floats:
+def least_around(values: Float32s, reach: int) -> Float32s:
     """(H, W) the least of the (2 reach + 1) x (2 reach + 1) values around each."""
     for _ in range(2):  # down the columns, then along the rows
         wide = np.pad(values, ((reach, reach), (0, 0)), constant_values=np.inf)

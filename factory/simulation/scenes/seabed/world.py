@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ....common.array_types import Float64s
 from ....common.seeds import stream
 from ....dataset.labels import CLASSES, FITTING, class_names
-from ...meshes.arrays import Draws, Points
+from ...meshes.arrays import Draws
 from ...meshes.camera import Objects
 from ...meshes.triangle_mesh import Mesh, mesh, rotation
 from ...meshes.waves import Waves
@@ -94,7 +95,7 @@ class Path:
         # Added to the unit heading, it looks at a wall beside the loop.
         self._lean = place["look_across"] * np.array([-s, c])
 
-    def at(self, distance_m: npt.ArrayLike) -> tuple[Points, Points]:
+    def at(self, distance_m: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Positions and unit tangents, (..., 2) each, after distances (...) along the loop."""
         sample = (np.asarray(distance_m) / self.length_m) % 1 * SAMPLES
         low = sample.astype(np.int64) % SAMPLES
@@ -128,7 +129,7 @@ class Path:
 class CameraView(NamedTuple):
     """A camera at (3,) `eye_m`.  heading: counter-clockwise from +x.  pitch: downwards."""
 
-    eye_m: Points
+    eye_m: Float64s
     heading_deg: float
     pitch_deg: float
     roll_deg: float
@@ -139,7 +140,7 @@ def _wander(field: Waves, travelled_m: float) -> float:
     return float(np.clip(field([travelled_m], [0])[0], -2, 2))
 
 
-def _unit(vectors: Points) -> Points:
+def _unit(vectors: Float64s) -> Float64s:
     return np.asarray(vectors / np.sqrt((vectors**2).sum(axis=-1, keepdims=True)))
 
 
@@ -251,7 +252,9 @@ class SeabedWorld:
         sunk = float(np.ptp(mesh.vertices[:, 2])) * rng.uniform(*burial) + 0.01
         self._fix(mesh, kind, (*spot, height - sunk), 0.85 * reach)
 
-    def _fix(self, mesh: Mesh, kind: str, at: Sequence[float] | Points, reach: float = 0.4) -> None:
+    def _fix(
+        self, mesh: Mesh, kind: str, at: Sequence[float] | Float64s, reach: float = 0.4
+    ) -> None:
         self._items.append((mesh.moved(at), kind))
         self._taken.append((float(at[0]), float(at[1]), reach))
 
@@ -296,7 +299,7 @@ class SeabedWorld:
         first = rng.uniform(2.1, 2.8)
         rows = [first, -first, first + rng.uniform(2.2, 3.2), -first - rng.uniform(2.2, 3.2)]
         for across in rows:
-            previous: Points | None = None
+            previous: Float64s | None = None
             for along in np.arange(-22, 22, spacing):
                 foot = self._on_axis(along + rng.normal(0, 0.1), across + rng.normal(0, 0.08))
                 top = rng.uniform(6, 8)
@@ -397,16 +400,16 @@ class SeabedWorld:
                 return x, y
         return None
 
-    def _near_path(self, rng: Draws, aside: Points) -> Points:
+    def _near_path(self, rng: Draws, aside: Float64s) -> Float64s:
         """(N, 2) points beside the path anywhere along it, (N,) metres to its left."""
         point, tangent = self.path.at(rng.uniform(*self._stretch_m, len(aside)))
         left = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
         return np.asarray(point + aside[:, None] * left)
 
-    def _on_axis(self, along: float, across: float) -> Points:
+    def _on_axis(self, along: float, across: float) -> Float64s:
         c = np.cos(self._heading_rad)
         s = np.sin(self._heading_rad)
         return self._grounded(c * along - s * across, s * along + c * across)
 
-    def _grounded(self, x: float, y: float) -> Points:
+    def _grounded(self, x: float, y: float) -> Float64s:
         return np.array([x, y, self.terrain.height_m([x], [y])[0]])

@@ -7,10 +7,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy import optimize
 
+from simnfnd.factory.common.array_types import Float64s
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.schema import config_hash
 from simnfnd.factory.production.cli.compose import compose_config
@@ -37,8 +37,6 @@ LENS = Intrinsics(300.0, 300.0, 120.0, 60.0)
 SHAPE = (121, 241)
 BOWL_M = 3.0
 BOWL_RADIUS_M = 1.0
-
-Doubles = npt.NDArray[np.float64]
 
 
 def corner() -> Frame:
@@ -83,11 +81,11 @@ def paths_of(frame: Frame, image: Rendered, sonar: Any) -> GhostPaths:
     return paths
 
 
-def length(points_m: Doubles) -> Doubles:
+def length(points_m: Float64s) -> Float64s:
     return np.asarray(np.linalg.norm(points_m, axis=-1))
 
 
-def half_paths_m(paths: GhostPaths) -> Doubles:
+def half_paths_m(paths: GhostPaths) -> Float64s:
     return (length(paths.image_m) + length(paths.second_m)) / 2
 
 
@@ -120,16 +118,16 @@ def test_paths_in_a_bowl_are_those_of_least_change() -> None:
     paths = paths_of(frame, rendered(frame), config().sonar)
     centre_m = np.array([BOWL_M, 0.0, 0.0])
 
-    def on_bowl(angles: Doubles) -> Doubles:
+    def on_bowl(angles: Float64s) -> Float64s:
         tilt, turn = angles
         outwards = [np.cos(tilt), np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)]
         return np.asarray(centre_m + BOWL_RADIUS_M * np.array(outwards))
 
-    def stationary_path_m(start_m: Doubles, second_m: Doubles) -> float:
+    def stationary_path_m(start_m: Float64s, second_m: Float64s) -> float:
         outwards = (start_m - centre_m) / length(start_m - centre_m)
         angles = np.array([np.arccos(outwards[0]), np.arctan2(outwards[2], outwards[1])])
 
-        def path_m(angles: Doubles) -> float:
+        def path_m(angles: Float64s) -> float:
             mirror_m = on_bowl(angles)
             return float(length(mirror_m) + length(second_m - mirror_m) + length(second_m))
 

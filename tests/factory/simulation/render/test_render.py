@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Float64s, UInt8s
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.quality import psnr_db
 from simnfnd.factory.production.cli.compose import compose_config
@@ -50,7 +50,7 @@ def render(kind: str, frame: Frame, mount: Mount = HERE, **keys: Any) -> Rendere
     return opened(kind, **keys).render(frame, mount)
 
 
-def relative_error(found: Rendered, expected: Rendered) -> npt.NDArray[np.float64]:
+def relative_error(found: Rendered, expected: Rendered) -> Float64s:
     lit = (found.radiance > 0) & (expected.radiance > 0)
     return np.asarray(np.abs(found.radiance[lit].astype(np.float64) / expected.radiance[lit] - 1))
 
@@ -248,9 +248,9 @@ def test_flattened_albedo_forgets_light_and_keeps_texture() -> None:
     texture = rng.uniform(0.5, 1.5, (200, 300))
     haze = np.linspace(0.02, 0.5, 300)[None, :] * np.linspace(1, 0.4, 200)[:, None]
 
-    def image(linear: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+    def image(linear: Float64s) -> UInt8s:
         code = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        grey: npt.NDArray[np.uint8] = np.round(255 * code).astype(np.uint8)
+        grey: UInt8s = np.round(255 * code).astype(np.uint8)
         return np.repeat(grey[..., None], 3, axis=-1)
 
     valid = np.ones((200, 300), np.bool_)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from simnfnd.factory.common.array_types import Bools, Floats
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.simulation.frames.frame import Intrinsics
 from simnfnd.factory.simulation.render import RenderSettings, kernels
@@ -20,17 +20,15 @@ from tests.factory.simulation.render.small_views import same, some_view
 from tests.frames import ground_and_post, plain_render
 from tests.render_scenes import frame_of, rays, sphere_depth, yard
 
-Array = npt.NDArray[np.floating]
-
 CAMERA = Intrinsics(70.0, 66.0, 22.3, 31.7)
 
 
-def surface_of(depth_m: Array, edge_ratio: float = 0.1, camera: Intrinsics = CAMERA) -> Surface:
+def surface_of(depth_m: Floats, edge_ratio: float = 0.1, camera: Intrinsics = CAMERA) -> Surface:
     settings: RenderSettings = build(RenderSettings, {"edge_ratio": edge_ratio})
     return pixels_of(frame_of(depth_m, camera), settings).surface()
 
 
-def joined(depth_m: Array, bit: int, edge_ratio: float = 0.1) -> npt.NDArray[np.bool_]:
+def joined(depth_m: Floats, bit: int, edge_ratio: float = 0.1) -> Bools:
     joints = kernels.joints(np.ascontiguousarray(depth_m, np.float32), edge_ratio)
     return np.asarray(np.asarray(joints) & bit != 0)
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PIL import Image
 
+from simnfnd.factory.common.array_types import Bools, Float64s
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
@@ -29,7 +29,6 @@ from tests.factory.simulation.scenes.test_own_worlds import (
     write_mesh,
 )
 
-Points = npt.NDArray[np.float64]
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 
 
@@ -45,7 +44,7 @@ def write_image(path: Path) -> None:
     Image.fromarray(pixels).save(path)
 
 
-def textured(folder: Path, line: str, library: str = "bed.mtl") -> npt.NDArray[np.bool_]:
+def textured(folder: Path, line: str, library: str = "bed.mtl") -> Bools:
     """Where a square with a material of that line is red, for x of 0.1 to 0.9."""
     (folder / "bed.mtl").write_text(
         f"newmtl rock\nKd 0.25 0.5 0.75\n{line}\nnewmtl other\nKd 1 1 1\n"
@@ -161,7 +160,7 @@ def test_more_parts_than_numbers_are_refused(tmp_path: Path) -> None:
 # --- far coordinates, axes
 
 
-def bed(offset: tuple[float, float, float] = (0, 0, 0), y_up: bool = False) -> tuple[Points, str]:
+def bed(offset: tuple[float, float, float] = (0, 0, 0), y_up: bool = False) -> tuple[Float64s, str]:
     """Vertices (N, 3) of a wavy floor of 12 m, and the faces of an .obj."""
     across = np.linspace(-6, 6, 40)
     x, y = np.meshgrid(across, across)

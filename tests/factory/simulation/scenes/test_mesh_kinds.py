@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.simulation.meshes.mesh_parts import read_model, read_parts
 from simnfnd.factory.simulation.meshes.painted import linear_albedo, unit_colours
 
-Points = npt.NDArray[Any]
 Document = dict[str, Any]
 
 CORNERS = np.array(
@@ -34,7 +33,7 @@ SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 class Glb:
     """A document with a box, to be changed and written."""
 
-    def __init__(self, positions: Points = CORNERS, **about: Any) -> None:
+    def __init__(self, positions: Array = CORNERS, **about: Any) -> None:
         self.content = b""
         self.document: Document = {"asset": {"version": "2.0"}, "bufferViews": [], "accessors": []}
         attributes = {"POSITION": self.add(positions, **about)}
@@ -42,7 +41,7 @@ class Glb:
         self.node: Document = {"mesh": 0, "name": "box"}
         self.document |= {"meshes": [{"primitives": [self.primitive]}], "nodes": [self.node]}
 
-    def add(self, values: Points, **about: Any) -> int:
+    def add(self, values: Array, **about: Any) -> int:
         """Add an accessor; returns its number."""
         rows = values.reshape(len(values), -1)
         step = -(-rows[:1].nbytes // 4) * 4
@@ -175,7 +174,7 @@ def test_strips_and_fans_are_triangles(tmp_path: Path, mode: int, corners: list[
     assert np.linalg.norm(normals, axis=1).sum() == pytest.approx(6, abs=1e-3)
 
 
-COLOURS: dict[str, Points] = {
+COLOURS: dict[str, Array] = {
     "float": np.full((8, 4), 0.5, np.float32),
     "bytes": np.full((8, 4), 128, np.uint8),
     "shorts": np.full((8, 3), 32768, np.uint16),

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import yaml
 from hypothesis import given, settings
@@ -19,6 +18,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.errors import FactoryError, FrameError
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.frame_ref import FrameRef
@@ -34,7 +34,6 @@ from tests.render_scenes import FLSEA
 PINHOLE = [20.0, 20.0, 11.5, 7.5]
 KEYS = {"flsea": "root", "csv_list": "file"}
 
-Array = npt.NDArray[Any]
 RGB = np.arange(16 * 24 * 3, dtype=np.uint8).reshape(16, 24, 3)
 DEPTH = np.linspace(0.5, 6, 16 * 24, dtype=np.float32).reshape(16, 24)
 

@@ -8,9 +8,9 @@ import sys
 from typing import Any, get_args
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from simnfnd.factory.common.array_types import Float64s
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.frame_ref import FrameRef
@@ -49,7 +49,7 @@ def fingerprint(frame: Frame) -> str:
     return digest.hexdigest()
 
 
-def world_points(frame: Frame) -> npt.NDArray[np.float64]:
+def world_points(frame: Frame) -> Float64s:
     """(H, W, 3) points of a frame in world axes, by the pinhole model."""
     assert frame.world_from_camera is not None
     v, u = np.indices(frame.depth_m.shape)
