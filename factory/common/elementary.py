@@ -109,6 +109,31 @@ def log(value: Any) -> Any:
     return _F(exponent) * _LN2 + (s + s) * (_ONE + u * series)
 
 
+@compiled()
+def rotation_numbers(rotation: Any) -> Any:
+    """The nine numbers of a (3, 3) rotation, row by row.
+
+    A loop that gets them before it begins does several points at a time: the compiler then knows
+    that nothing written in the loop changes them.
+    """
+    return (
+        rotation[0, 0], rotation[0, 1], rotation[0, 2],
+        rotation[1, 0], rotation[1, 1], rotation[1, 2],
+        rotation[2, 0], rotation[2, 1], rotation[2, 2],
+    )  # fmt: skip
+
+
+@compiled()
+def rotated(numbers: Any, x: Any, y: Any, z: Any) -> Any:
+    """The three coordinates of a point after a rotation; numbers: of `rotation_numbers`."""
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = numbers
+    return (
+        xx * x + xy * y + xz * z,
+        yx * x + yy * y + yz * z,
+        zx * x + zy * y + zz * z,
+    )
+
+
 @compiled(f"void({FLOATS}, {_OUT})")
 def half_normal(chance: Any, size: Any) -> None:
     """sqrt(2) erfinv(chance) of chances in [0, 1): |N(0, 1)| for uniform chances.

@@ -109,7 +109,7 @@ def box_of_object(
     """The box around all of an object, what echoes and what does not."""
     ahead, left, _ = place.points_m.T
     range_m = np.linalg.norm(place.points_m, axis=1)
-    # A beam is a cone around the array: sin(bearing) = sin(azimuth) cos(elevation).
+    # The share of the range to the left is -sin(bearing) in conical beams, at any elevation.
     bearing_rad = np.arcsin(np.clip(-left / np.maximum(range_m, 1e-9), -1, 1))
     is_ahead = ahead > 0
     return _box_around(range_m[is_ahead], bearing_rad[is_ahead], geometry, shape, echo)

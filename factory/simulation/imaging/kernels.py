@@ -11,6 +11,7 @@ import numpy as np
 
 from ...common.array_types import Float32s, Float64s, Int32s, UInt8s, UInt16s, UInt32s
 from ...common.compiled import compiled
+from ...common.elementary import rotated, rotation_numbers
 
 _A = np.uint32(0x85EBCA6B)
 _B = np.uint32(0xC2B2AE35)
@@ -242,15 +243,7 @@ def _project_row(
     range bin with its fraction, radiance times the pixel's solid angle.
     """
     # Local names: the compiler then knows that what it writes changes none of them.
-    a0 = rotation[0, 0]
-    a1 = rotation[0, 1]
-    a2 = rotation[0, 2]
-    b0 = rotation[1, 0]
-    b1 = rotation[1, 1]
-    b2 = rotation[1, 2]
-    c0 = rotation[2, 0]
-    c1 = rotation[2, 1]
-    c2 = rotation[2, 2]
+    turn = rotation_numbers(rotation)
     g0 = ground_up[0]
     g1 = ground_up[1]
     g2 = ground_up[2]
@@ -267,9 +260,7 @@ def _project_row(
         x_ = a * z - px
         y_ = down * z - py
         z_ = z - pz
-        x = a0 * x_ + a1 * y_ + a2 * z_
-        y = b0 * x_ + b1 * y_ + b2 * z_
-        up = c0 * x_ + c1 * y_ + c2 * z_
+        x, y, up = rotated(turn, x_, y_, z_)
         per_range = _ONE / np.sqrt(x * x + y * y + up * up)
         bearing[column] = -y * per_range if x > 0 else np.float32(np.inf)
         sine[column] = up * per_range
@@ -297,7 +288,7 @@ def place_scatterers(
     surface.  `power` gets its echo in exact parts.  A scatterer lies anywhere in between, one for
     each range bin that it covers: at grazing incidence there are fewer pixels than bins.  There
     its power density changes evenly from row to row, or the rows would show as stripes.
-    Beams of a line of elements are cones: sin(bearing) = sin(azimuth) cos(elevation).
+    Beams are cones, see `Echoes.in_conical_beams`.
 
     camera, grid: see above.  radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0;
     reflectivity: of each, the last of those beyond, too.
@@ -758,7 +749,8 @@ def mirror(
     way.  echoes: (bins,) intensities and (fields, bins) amplitudes, and the same again, which are
     added to, but (0,) intensities where all are 0.
     """
-    m, position_m = sonar
+    rotation, position_m = sonar
+    turn = rotation_numbers(rotation)
     height_m, cosine, sine = level
     (power, planes), (power_out, planes_out) = echoes
     bins = power.shape[0]
@@ -772,9 +764,7 @@ def mirror(
         u = points_m[0, i] - position_m[0]
         v = points_m[1, i] - position_m[1]
         w = points_m[2, i] - position_m[2]
-        x = m[0, 0] * u + m[0, 1] * v + m[0, 2] * w
-        y = m[1, 0] * u + m[1, 1] * v + m[1, 2] * w
-        z = m[2, 0] * u + m[2, 1] * v + m[2, 2] * w
+        x, y, z = rotated(turn, u, v, w)
         ahead = x * cosine + z * sine
         up = z * cosine - x * sine
         up_image = _TWO * height_m - up

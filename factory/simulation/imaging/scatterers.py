@@ -21,11 +21,10 @@ import numpy as np
 from ...common.array_types import Array, Bools, Float32s, Float64s, Int32s, UInt32s
 from ...common.errors import FrameError
 from ..frames.frame import Frame
-from ..sonar import array
 from ..sonar.array import WaterSettings
 from ..sonar.ghosts import ghost_paths, lengths
 from ..sonar.settings import SonarSettings
-from ..sonar.surface import LitSurface, mount_weight
+from ..sonar.surface import LitSurface, mount_weight, vertical_table
 from ..sonar.window import Window
 from .ghosts import GhostScatterers
 from .moving import MovingScatterers, moving_scatterers
@@ -291,8 +290,3 @@ def bin_centres_m(window: Window, sonar: SonarSettings) -> Float32s:
     """(range_bins,) centres of the range bins, metres."""
     fraction = (np.arange(sonar.range_bins) + 0.5) / sonar.range_bins
     return np.asarray(window.range_min_m + fraction * window.range_span_m, np.float32)
-
-
-def vertical_table(sonar: SonarSettings) -> Float32s:
-    """(4097,) two-way vertical intensity pattern at equal steps of sin(elevation) from -1 to 1."""
-    return array.vertical_table(sonar.vfov_deg, sonar.array)

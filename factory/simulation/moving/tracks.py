@@ -13,11 +13,11 @@ from ...common.array_types import Int32s, Int64s
 from ...common.errors import FrameError
 from ...dataset.schema import Column
 from ..frames.frame import MovingPixels
-from ..imaging.scatterers import camera_rays, vertical_table
+from ..imaging.scatterers import camera_rays
 from ..scenes.moving import TRACKS_BYTES
 from ..sonar import polar
 from ..sonar.fan import lay_out_nearest
-from ..sonar.surface import LABELLED_BEAM_DB, LitSurface
+from ..sonar.surface import LABELLED_BEAM_DB, LitSurface, vertical_weight
 from .compose import PosedBody
 from .course import velocity_m_s
 
@@ -97,11 +97,8 @@ def _heard(lit: LitSurface, moving: MovingPixels) -> _Heard:
     echoes = polar.from_xyz(sonar_m, strength)
     pattern = (np.abs(echoes.elevation_rad) <= np.deg2rad(sonar.vfov_deg) / 2).astype(np.float64)
     if lit.conical:
-        table = vertical_table(sonar)
-        step = np.rint((np.sin(echoes.elevation_rad) + 1) / 2 * (len(table) - 1))
-        pattern = table[step.astype(np.intp)].astype(np.float64)
-        bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
-        echoes = replace(echoes, azimuth_rad=bearing.astype(np.float32))
+        pattern = vertical_weight(echoes.elevation_rad, sonar).astype(np.float64)
+        echoes = echoes.in_conical_beams()
     weighted = (strength * pattern).astype(np.float32)
     echoes = replace(echoes, strength=weighted)
     bins = polar.bin_index(echoes, lit.window, sonar)

@@ -11,8 +11,8 @@ from ...common.distribution import Angle, Distribution, NonNegativeDecibels, as_
 from ...common.settings import STRICT
 from ..imaging.effect import Effect, EffectSettings, Rng, parameter
 from ..imaging.expected import Expected
-from ..imaging.scatterers import vertical_table
 from ..imaging.signal import Ping, Signal, is_audible
+from ..sonar.surface import vertical_table
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...common.compiled import compiled
-from ...common.elementary import FLOATS, atan2, cos
+from ...common.elementary import FLOATS, atan2, cos, rotated, rotation_numbers
 
 _F = np.float32
 _ZERO = _F(0)
@@ -62,15 +62,7 @@ def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -
     depths_m, _, _, across, downs, rotation, position_m = pixels
     depth_m = depths_m[row]
     down = downs[row]
-    r00 = rotation[0, 0]
-    r01 = rotation[0, 1]
-    r02 = rotation[0, 2]
-    r10 = rotation[1, 0]
-    r11 = rotation[1, 1]
-    r12 = rotation[1, 2]
-    r20 = rotation[2, 0]
-    r21 = rotation[2, 1]
-    r22 = rotation[2, 2]
+    turn = rotation_numbers(rotation)
     x0 = position_m[0]
     y0 = position_m[1]
     z0 = position_m[2]
@@ -79,9 +71,7 @@ def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -
         a = across[column] * z - x0
         b = down * z - y0
         c = z - z0
-        forward = r00 * a + r01 * b + r02 * c
-        left = r10 * a + r11 * b + r12 * c
-        above = r20 * a + r21 * b + r22 * c
+        forward, left, above = rotated(turn, a, b, c)
         ground_squared = forward * forward + left * left
         slant_m[column] = np.sqrt(ground_squared + above * above)
         right_rad[column] = atan2(-left, forward)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, reduce
 from typing import NamedTuple
 
@@ -73,6 +73,14 @@ class Echoes:
         if window.projection == "slant_range":
             return self.range_m
         return np.asarray(self.range_m * np.cos(self.elevation_rad), dtype=np.float32)
+
+    def in_conical_beams(self) -> Echoes:
+        """The echoes with bearings for azimuths, as a line of elements hears them.
+
+        Its beams are cones around the line: sin(bearing) = sin(azimuth) cos(elevation).
+        """
+        bearing_rad = np.arcsin(np.sin(self.azimuth_rad) * np.cos(self.elevation_rad))
+        return replace(self, azimuth_rad=np.asarray(bearing_rad, np.float32))
 
     def xyz_m(self) -> Float64s:
         """(N, 3) Cartesian coordinates in sonar axes, metres."""

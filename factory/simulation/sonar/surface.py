@@ -46,7 +46,7 @@ class LitSurface:
     """A rendered frame behind a window of the sonar.
 
     conical: whether the sonar's beams are cones about a line of elements, not vertical planes;
-        azimuths of echoes are then bearings, sin(bearing) = sin(azimuth) cos(elevation).
+        see `Echoes.in_conical_beams`.
     class_echoes: backscatter coefficients of the classes, by which surfaces of a complex field
         echo; empty for the paper's points, which know no materials.
     """
@@ -74,9 +74,9 @@ class LitSurface:
         if not self.conical:
             return self.insonified
         surface = self._within(labelled_half_angle_rad(self.sonar))
-        table = array.vertical_table(self.sonar.vfov_deg, self.sonar.array)
-        step = (np.sin(surface.echoes.elevation_rad) + 1) / 2 * (len(table) - 1)
-        strength = surface.echoes.strength * table[np.rint(step).astype(np.intp)]
+        strength = surface.echoes.strength * vertical_weight(
+            surface.echoes.elevation_rad, self.sonar
+        )
         if self.frame.segmentation is not None and self.class_echoes:
             coefficients = np.array(self.class_echoes, np.float32)
             strength *= coefficients[self.frame.segmentation.reshape(-1)[surface.pixel]]
@@ -90,14 +90,25 @@ class LitSurface:
             weight = mount_weight(self.frame, self.sonar.mount, 2).reshape(-1)
             echoes = replace(echoes, strength=echoes.strength * weight[surface.pixel])
         if self.conical:
-            bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
-            echoes = replace(echoes, azimuth_rad=bearing)
+            echoes = echoes.in_conical_beams()
         return surface._replace(echoes=echoes)
+
+
+def vertical_table(sonar: SonarSettings) -> Float32s:
+    """(4097,) two-way vertical intensity pattern at equal steps of sin(elevation) from -1 to 1."""
+    return array.vertical_table(sonar.vfov_deg, sonar.array)
+
+
+def vertical_weight(elevation_rad: Float32s, sonar: SonarSettings) -> Float32s:
+    """(N,) two-way intensity that the vertical beam passes from (N,) elevations, 0 to 1."""
+    table = vertical_table(sonar)
+    step = (np.sin(elevation_rad) + 1) / 2 * (len(table) - 1)
+    return table[np.rint(step).astype(np.intp)]
 
 
 def labelled_half_angle_rad(sonar: SonarSettings) -> float:
     """Elevation at which the main lobe of the two-way beam has lost LABELLED_BEAM_DB."""
-    pattern = array.vertical_table(sonar.vfov_deg, sonar.array)
+    pattern = vertical_table(sonar)
     upper_half = pattern[len(pattern) // 2 :]
     faint = np.flatnonzero(upper_half < 10 ** (-LABELLED_BEAM_DB / 10))
     if not len(faint):

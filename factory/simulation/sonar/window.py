@@ -105,8 +105,8 @@ def whole_sector(window: Window, sonar: SonarSettings) -> Window:
 def conical(window: Window, sonar: SonarSettings) -> Window:
     """The same window for beams that are cones: bearings that the camera saw at all elevations.
 
-    An edge of the camera's view at azimuth a is at bearing arcsin(sin a cos e) for elevation e.  An
-    edge of the device's own sector stays, for the camera sees beyond it.
+    An edge of the camera's view moves inward as `Echoes.in_conical_beams` says.  An edge of the
+    device's own sector stays, for the camera sees beyond it.
     """
     half_rad = math.radians(sonar.hfov_deg) / 2
     narrower = math.cos(math.radians(sonar.vfov_deg) / 2)

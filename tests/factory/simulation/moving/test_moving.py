@@ -47,7 +47,7 @@ def test_target_strength_gives_the_level_of_the_sonar_equation(actor, range_m, e
     config = settings(acoustics=SILENT_GROUND)
     ping = scene(config, actor)
     # EL - SL = TS - 40 log r - 2 a r + the two-way vertical pattern (Urick 1983, ch. 2).
-    from simnfnd.factory.simulation.imaging.scatterers import vertical_table
+    from simnfnd.factory.simulation.sonar.surface import vertical_table
 
     table = vertical_table(config.sonar)
     pattern = table[round((np.sin(np.deg2rad(elevation_deg)) + 1) / 2 * (len(table) - 1))]

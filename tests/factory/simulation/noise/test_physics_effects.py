@@ -10,7 +10,6 @@ import pytest
 
 from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.simulation.config.root import FactoryConfig
-from simnfnd.factory.simulation.imaging.scatterers import vertical_table
 from simnfnd.factory.simulation.imaging.signal import Ping, Signal
 from simnfnd.factory.simulation.noise.crosstalk import crosstalk
 from simnfnd.factory.simulation.noise.draws import Draws, StreamNames, draw
@@ -24,6 +23,7 @@ from simnfnd.factory.simulation.noise.scintillation import scintillation
 from simnfnd.factory.simulation.noise.sidelobe_arcs import sidelobe_arcs
 from simnfnd.factory.simulation.noise.spokes import spokes
 from simnfnd.factory.simulation.pairs.pair_maker import ObservedFrame, make_pair
+from simnfnd.factory.simulation.sonar.surface import vertical_table
 from tests.constant_field import config, observed, ping_of
 
 FIELD_EFFECTS = [name for name, effect in EFFECTS.items() if effect.stage != "points"]
