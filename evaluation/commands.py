@@ -87,7 +87,7 @@ def fit(words: Sequence[str]) -> int:
     return run_app(_fit, "fit", [*_named(own, "real"), *recipe], FitSettings)
 
 
-def _named(words: Sequence[str], first: str | None, rest: str | None = None) -> list[str]:
+def _named(words: Sequence[str], first_key: str | None, rest_key: str | None = None) -> list[str]:
     """Paths as overrides: the first one of `first`, the others a list of `rest`.
 
     A word with `=` is one when a file or folder has that name.
@@ -98,12 +98,12 @@ def _named(words: Sequence[str], first: str | None, rest: str | None = None) -> 
         if not word.startswith("-") and ("=" not in word or Path(word).exists())
     ]
     overrides = [word for word in words if word not in plain]
-    if plain and first is not None:
-        overrides.append(f"{first}={quote(plain.pop(0))}")
+    if plain and first_key is not None:
+        overrides.append(f"{first_key}={quote(plain.pop(0))}")
     if plain:
-        if rest is None:
+        if rest_key is None:
             raise FactoryError(f"{plain[0]}: unexpected; only one folder is taken here")
-        overrides.append(f"{rest}={_listed(plain)}")
+        overrides.append(f"{rest_key}={_listed(plain)}")
     return overrides
 
 
@@ -120,8 +120,8 @@ def _transfer_words(words: Sequence[str]) -> list[str]:
     if len(folders) > 2:
         raise FactoryError(f"{folders[2]}: unexpected; give DATASET and REAL alone")
     keys = ("dataset", "real")[-len(folders) :] if folders else ()
-    given = {word.partition("=")[0] for word in words}
-    if keys == ("real",) and not given & {"detector", "dataset"}:
+    keys_in_words = {word.partition("=")[0] for word in words}
+    if keys == ("real",) and not keys_in_words & {"detector", "dataset"}:
         overrides.append("detector=simnfnd")
     return [*overrides, *(f"{key}={quote(word)}" for key, word in zip(keys, folders, strict=True))]
 

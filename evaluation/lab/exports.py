@@ -109,7 +109,7 @@ def recipe(base: Base, changes: Values) -> str:
 
     body: dict[str, Any] = {}
     for key, value in {**base.settings, **changes}.items():
-        put(body, key, _replacing(value, _value_at(base.values, key)))
+        set_dotted(body, key, _replacing(value, _value_at(base.values, key)))
     file = Path("presets", "experiment", f"{RECIPE}.yaml")
     head = (
         "# @package _global_\n"
@@ -121,8 +121,8 @@ def recipe(base: Base, changes: Values) -> str:
     return head + text
 
 
-def put(values: dict[str, Any], key: str, value: Any) -> None:
-    """Set a dotted key in nested mappings; those that are missing are made."""
+def set_dotted(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set the value of a dotted key in nested mappings, and add mappings that are missing."""
     *groups, name = key.split(".")
     for group in groups:
         values = values.setdefault(group, {})

@@ -22,7 +22,7 @@ from ...factory.simulation.pairs.views import ViewMaker, Views, open_views
 from ...factory.simulation.render.base import Mount, RenderSettings
 from ...factory.simulation.render.view import View
 from ...factory.simulation.scenes import Scenes, open_reader
-from .exports import Base, Exports, command_line, put, recipe, sweep_line
+from .exports import Base, Exports, command_line, recipe, set_dotted, sweep_line
 from .parameters import Control, parameters_of
 
 Changes = Mapping[str, Any]
@@ -89,7 +89,7 @@ class Session:
                 raise FactoryError(f"{key}: no parameter of this configuration")
         values = deepcopy(dict(self._base.values))
         for key, value in changes.items():
-            put(values, key, value)
+            set_dotted(values, key, value)
         config = from_mapping(values)
         # Layers and columns take time, and change no image.
         return replace(config, dataset=replace(config.dataset, layers=(), columns=()))

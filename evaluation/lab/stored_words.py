@@ -60,7 +60,7 @@ def _choices(config: FactoryConfig) -> list[str]:
     }
     words = [f"{group}={choice}" for group, choice in choices.items()]
     words = [f"{group}={choice}" for group, choice in choices.items()]
-    # Keys without a default.
+    # These keys have no default, so the first composition needs them already.
     for key in ("root", "file", "intrinsics"):
         if (value := getattr(config.scenes, key, None)) is not None:
             words.append(f"scenes.{key}={word_of(value)}")

@@ -33,13 +33,14 @@ _SIMULATED_SHARE = 0.5  # of every batch, where real images are added to simulat
 class Arm:
     """What one kind of detector finds.
 
-    found: of each real image, those that count.  learns_from: in words.
-    has_classes: whether its detections do.
+    learns_from: what it learns from, in words.
+    detections: for each real image those that count.
+    has_classes: whether its detections have the classes of the real images.
     """
 
     label: str
     learns_from: str
-    found: Sequence[Detections]
+    detections: Sequence[Detections]
     has_classes: bool = True
 
 
@@ -69,17 +70,17 @@ class Comparison:
         """One arm after another, as its trainings end.  Raises FactoryError."""
         settings = self.settings
         if "blob" in settings.arms:
-            found = self._countable(detect_blobs(self.working))
-            yield Arm(BLOB, "nothing", found, has_classes=False)
+            detections = self._countable(detect_blobs(self.working))
+            yield Arm(BLOB, "nothing", detections, has_classes=False)
         if settings.detector is not None:
             yield self._given(settings.detector)
             return
         if {"simulation", "both"} & set(settings.arms):
             self.trained = self.train_simulated()
         if "simulation" in settings.arms and self.trained is not None:
-            found = self._find(self.trained, range(len(self.working)))
+            detections = self._find(self.trained, range(len(self.working)))
             about = f"{len(self.simulated)} simulated images"
-            yield Arm(SIMULATION, about, self._countable(found))
+            yield Arm(SIMULATION, about, self._countable(detections))
         for share in settings.shares:
             if "real" in settings.arms:
                 yield self._cross_validated(share, after_simulation=False)
@@ -90,9 +91,9 @@ class Comparison:
         """The arm of a detector that was trained before."""
         path = find_detector(name)
         self.trained = load_detector(path)
-        found = self._find(self.trained, range(len(self.working)))
+        detections = self._find(self.trained, range(len(self.working)))
         about = str(self.trained.training.get("about", "not stated"))
-        return Arm(f"detector {path.stem}", about, self._countable(found))
+        return Arm(f"detector {path.stem}", about, self._countable(detections))
 
     def train_simulated(self) -> TrainedDetector:
         """The detector of simulation alone, or that which the folder holds."""
@@ -118,7 +119,7 @@ class Comparison:
         """Detectors that saw a share of the real images of the other folds."""
         words = f"{100 * share:g} % of real labels"
         label = f"simulation, then {words}" if after_simulation else words
-        found: dict[int, Detections] = {}
+        detections_of_image: dict[int, Detections] = {}
         counts = []
         for number, judged in enumerate(folds_of(self._groups(), self.settings.folds)):
             others = [i for i in range(len(self.working)) if i not in set(judged)]
@@ -126,11 +127,11 @@ class Comparison:
             counts.append(len(learned))
             stage(f"{label}: fold {number + 1} of {self.settings.folds}, {len(learned)} images")
             trained = self._train_real(learned, number, share, after_simulation)
-            found |= dict(zip(judged, self._find(trained, judged), strict=True))
+            detections_of_image |= dict(zip(judged, self._find(trained, judged), strict=True))
         about = f"{min(counts)} to {max(counts)} real images"
         if after_simulation:
             about = f"{len(self.simulated)} simulated images, then {about} beside them"
-        in_order = [found[number] for number in range(len(self.working))]
+        in_order = [detections_of_image[number] for number in range(len(self.working))]
         return Arm(label, about, self._countable(in_order))
 
     def _train_real(
@@ -163,14 +164,14 @@ class Comparison:
         renumbered = np.array([own.get(name, UNKNOWN) for name in trained.classes], np.int64)
         images = [self.real.images[number].labelled for number in numbers]
         return [
-            Detections(found.boxes, found.scores, renumbered[found.labels])
-            for found in detect(trained, images)
+            Detections(detections.boxes, detections.scores, renumbered[detections.labels])
+            for detections in detect(trained, images)
         ]
 
-    def _countable(self, found: Sequence[Detections]) -> list[Detections]:
+    def _countable(self, detections: Sequence[Detections]) -> list[Detections]:
         return [
-            countable(detections, image.ignored)
-            for detections, image in zip(found, self.real.images, strict=True)
+            countable(own_detections, image.ignored)
+            for own_detections, image in zip(detections, self.real.images, strict=True)
         ]
 
     def _groups(self) -> list[str]:

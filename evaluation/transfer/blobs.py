@@ -43,9 +43,9 @@ def _detect_in(working: WorkingImage) -> Detections:
         return no_detections()
     boxes = clip_boxes(np.array([box for box, _ in candidates], np.float32), *shape)
     scores = np.array([score for _, score in candidates], np.float32)
-    kept = suppress_duplicates(boxes, scores, _SAME_IOU)[:_MOST]
-    labels = np.zeros(len(kept), np.int64)
-    return Detections(boxes[kept] / np.float32(working.scale), scores[kept], labels)
+    kept_numbers = suppress_duplicates(boxes, scores, _SAME_IOU)[:_MOST]
+    labels = np.zeros(len(kept_numbers), np.int64)
+    return Detections(boxes[kept_numbers] / np.float32(working.scale), scores[kept_numbers], labels)
 
 
 def _smoothed(grey: Float32s, fan: Float32s) -> Float32s:

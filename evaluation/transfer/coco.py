@@ -89,11 +89,11 @@ def read_coco(
     return RealImages(root.resolve().name, tuple(images), classes, has_groups)
 
 
-def _annotations_path(root: Path, given: str | None) -> Path:
-    if given is not None:
-        path = root / given
+def _annotations_path(root: Path, file_name: str | None) -> Path:
+    if file_name is not None:
+        path = root / file_name
         if not path.is_file():
-            raise FactoryError(f"annotations={given}: no such file in {root}")
+            raise FactoryError(f"annotations={file_name}: no such file in {root}")
         return path
     candidates = [root / name for name in _NAMES]
     candidates += sorted((root / "annotations").glob("*.json"))

@@ -104,7 +104,7 @@ def _train_alone(settings: TransferSettings) -> None:
 def judge_arm(arm: Arm, real: RealImages, draws: Int64s) -> JudgedArm:
     """The figures of an arm, for all objects and for each class."""
     images = real.images
-    figures, matches = figures_of(images, arm.found, None, draws)
+    figures, matches = figures_of(images, arm.detections, None, draws)
     by_class: dict[str, Figures] = {}
     recall_of: dict[str, float] = {}
     threshold = threshold_at(matches, 1.0)
@@ -113,7 +113,7 @@ def judge_arm(arm: Arm, real: RealImages, draws: Int64s) -> JudgedArm:
             continue
         recall_of[name] = _class_recall(images, arm, label, threshold)
         if arm.has_classes:
-            by_class[name], _ = figures_of(images, arm.found, label, draws[:0])
+            by_class[name], _ = figures_of(images, arm.detections, label, draws[:0])
     return JudgedArm(arm, figures, matches, by_class, recall_of)
 
 
@@ -123,10 +123,10 @@ def _class_recall(images: Sequence[RealImage], arm: Arm, label: int, threshold: 
 
     found_count = 0
     object_count = 0
-    for image, found in zip(images, arm.found, strict=True):
+    for image, detections in zip(images, arm.detections, strict=True):
         is_class = image.labelled.labels == label
         object_count += int(is_class.sum())
-        shown = found.boxes[found.scores > threshold]
+        shown = detections.boxes[detections.scores > threshold]
         found_count += sum(
             bool(is_class[number]) for _, number in match_greedily(shown, image.labelled.boxes)
         )
@@ -156,7 +156,7 @@ def write(
     sheet = (
         detection_sheet(
             real.images,
-            shown.arm.found,
+            shown.arm.detections,
             threshold_at(shown.matches, 1.0),
             settings.examples,
         )
@@ -296,8 +296,8 @@ def _simulated_figures(comparison: Comparison) -> Figures | None:
     held_out = [
         RealImage(working.labelled, working.labelled.boxes[:0]) for working in comparison.held_out
     ]
-    found = detect(comparison.trained, [image.labelled for image in held_out])
-    figures, _ = figures_of(held_out, found, None, np.zeros((0, len(held_out)), np.int64))
+    detections = detect(comparison.trained, [image.labelled for image in held_out])
+    figures, _ = figures_of(held_out, detections, None, np.zeros((0, len(held_out)), np.int64))
     return figures
 
 

@@ -27,15 +27,18 @@ _IGNORED_IOU = 0.3
 _IGNORED_SHARE = 0.5
 """Detections that overlap a box of an ignored class by more do not count."""
 _MOST_DETECTIONS = 100
+_FEWEST_SAMPLES = 20
+"""Finite samples of a bootstrap from which an interval is drawn; with fewer there is none."""
 _RECALLS = np.linspace(0, 1, 101)
 CURVE_ALARMS = tuple(float(value) for value in np.geomspace(0.05, 10, 41))
 """False alarms per image at which the curve of recall is sampled."""
 
 
 class Figures(NamedTuple):
-    """Of one class or of all objects.
+    """The figures of one class or of all objects.
 
-    recall: at one false alarm per image, with an overlap of IOU_STRICT.  object_count: of truth.
+    recall: at one false alarm per image, with an overlap of IOU_STRICT.
+    object_count: number of true objects.
     """
 
     ap50: FigureEstimate
@@ -58,26 +61,28 @@ class Matches:
     object_counts: Int64s
 
 
-def countable(found: Detections, ignored: Boxes) -> Detections:
+def countable(detections: Detections, ignored: Boxes) -> Detections:
     """The detections that count: not those on a box of an ignored class."""
-    if not len(ignored) or not len(found.boxes):
-        return found
-    is_on = (intersection_over_union(found.boxes, ignored) >= _IGNORED_IOU) | (
-        share_inside(found.boxes, ignored) > _IGNORED_SHARE
+    if not len(ignored) or not len(detections.boxes):
+        return detections
+    is_on = (intersection_over_union(detections.boxes, ignored) >= _IGNORED_IOU) | (
+        share_inside(detections.boxes, ignored) > _IGNORED_SHARE
     )
     counts = ~is_on.any(axis=1)
-    return Detections(found.boxes[counts], found.scores[counts], found.labels[counts])
+    return Detections(
+        detections.boxes[counts], detections.scores[counts], detections.labels[counts]
+    )
 
 
 def match(
-    images: Sequence[RealImage], found: Sequence[Detections], label: int | None, iou: float
+    images: Sequence[RealImage], detections: Sequence[Detections], label: int | None, iou: float
 ) -> tuple[Matches, float]:
     """Pycocotools' matches and its average precision at one overlap.
 
-    label: of the class that is judged; None: all objects as one class.  found: of each image, those
-    that count.
+    label: the class that is judged; None: all objects as one class.
+    detections: for each image those that count.
     """
-    evaluation = _evaluate(images, found, label, iou)
+    evaluation = _evaluate(images, detections, label, iou)
     count = len(images)
     numbers: list[Int64s] = []
     scores: list[Float64s] = []
@@ -103,7 +108,7 @@ def match(
 
 
 def _evaluate(
-    images: Sequence[RealImage], found: Sequence[Detections], label: int | None, iou: float
+    images: Sequence[RealImage], detections: Sequence[Detections], label: int | None, iou: float
 ) -> Any:
     """A COCOeval that has matched and accumulated; image ids are positions."""
     from pycocotools.coco import COCO
@@ -111,14 +116,14 @@ def _evaluate(
 
     truths: list[dict[str, Any]] = []
     results: list[dict[str, Any]] = []
-    for number, (real, detections) in enumerate(zip(images, found, strict=True)):
+    for number, (real, own_detections) in enumerate(zip(images, detections, strict=True)):
         labelled = real.labelled
         of_class = slice(None) if label is None else labelled.labels == label
         for box in labelled.boxes[of_class]:
             truths.append({"id": len(truths) + 1, **_entry(number, box), "iscrowd": 0})
-        is_wanted = slice(None) if label is None else detections.labels == label
+        is_wanted = slice(None) if label is None else own_detections.labels == label
         for box, score in zip(
-            detections.boxes[is_wanted], detections.scores[is_wanted], strict=True
+            own_detections.boxes[is_wanted], own_detections.scores[is_wanted], strict=True
         ):
             entry = _entry(number, box)
             results.append({"id": len(results) + 1, **entry, "score": float(score)})
@@ -169,13 +174,12 @@ def average_precision(matches: Matches, weights: Int64s | None = None) -> float:
     recall = hits / object_count
     precision = hits / np.maximum(hits + alarms, np.spacing(1))
     precision = np.maximum.accumulate(precision[::-1])[::-1]
+    if not len(precision):
+        return 0.0
     places = np.searchsorted(recall, _RECALLS, side="left")
-    inside = places < len(precision)
-    return (
-        float(np.where(inside, precision[np.minimum(places, len(precision) - 1)], 0).mean())
-        if (len(precision))
-        else 0.0
-    )
+    is_reached = places < len(precision)
+    at_recalls = precision[np.minimum(places, len(precision) - 1)]
+    return float(np.where(is_reached, at_recalls, 0).mean())
 
 
 def recall_at(
@@ -220,13 +224,13 @@ def group_draws(groups: Sequence[str], draws: int, seed: int) -> Int64s:
 
 def figures_of(
     images: Sequence[RealImage],
-    found: Sequence[Detections],
+    detections: Sequence[Detections],
     label: int | None,
     draws: Int64s,
 ) -> tuple[Figures, Matches]:
     """All figures of one class, or of all objects, and the matches at IOU_STRICT."""
-    strict, ap50 = match(images, found, label, IOU_STRICT)
-    loose, ap30 = match(images, found, label, IOU_LOOSE)
+    strict, ap50 = match(images, detections, label, IOU_STRICT)
+    loose, ap30 = match(images, detections, label, IOU_LOOSE)
     (recall,) = recall_at(strict, [1.0])
     samples_50 = [average_precision(strict, weights) for weights in draws]
     samples_30 = [average_precision(loose, weights) for weights in draws]
@@ -249,8 +253,9 @@ def difference(first: Matches, second: Matches, draws: Int64s) -> FigureEstimate
 
 
 def _estimate(value: float, samples: Sequence[float]) -> FigureEstimate:
+    """The value with its 95 % interval by samples of a bootstrap; NaN limits if they are few."""
     finite = np.array(samples)[np.isfinite(samples)]
-    if finite.size < 20:
+    if finite.size < _FEWEST_SAMPLES:
         return FigureEstimate(value, float("nan"), float("nan"))
     low, high = np.quantile(finite, [0.025, 0.975])
     return FigureEstimate(value, float(low), float(high))

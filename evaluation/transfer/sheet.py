@@ -27,7 +27,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def detection_sheet(
-    images: Sequence[RealImage], found: Sequence[Detections], threshold: float, most: int
+    images: Sequence[RealImage], detections: Sequence[Detections], threshold: float, most: int
 ) -> bytes:
     """A PNG of at most so many images, one of each group first.
 
@@ -35,7 +35,7 @@ def detection_sheet(
     an ignored class.  Detections below the threshold are left out.
     """
     numbers = _choose(images, most)
-    tiles = [_draw_tile(images[number], found[number], threshold) for number in numbers]
+    tiles = [_draw_tile(images[number], detections[number], threshold) for number in numbers]
     height = max(tile.shape[0] for tile in tiles)
     width = max(tile.shape[1] for tile in tiles)
     rows = -(-len(tiles) // _COLUMNS)
@@ -54,25 +54,25 @@ def detection_sheet(
 def _choose(images: Sequence[RealImage], most: int) -> list[int]:
     """Numbers of images, evenly spread over those that come first in their groups."""
     order: dict[tuple[int, int], int] = {}
-    seen: dict[str, int] = {}
+    rank_in_group: dict[str, int] = {}
     for number, image in enumerate(images):
         group = image.labelled.group
-        seen[group] = seen.get(group, -1) + 1
-        order[seen[group], number] = number
+        rank_in_group[group] = rank_in_group.get(group, -1) + 1
+        order[rank_in_group[group], number] = number
     firsts = [order[key] for key in sorted(order) if key[0] == 0]
     if len(firsts) < most:
         return [order[key] for key in sorted(order)][:most]
     return [firsts[int(place * len(firsts) / most)] for place in range(most)]
 
 
-def _draw_tile(image: RealImage, found: Detections, threshold: float) -> UInt8s:
+def _draw_tile(image: RealImage, detections: Detections, threshold: float) -> UInt8s:
     """One image, enlarged, with its boxes."""
     grey = image.labelled.image
     scale = _TILE_PX / max(grey.shape)
     size = (round(grey.shape[1] * scale), round(grey.shape[0] * scale))
     enlarged = cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR)
     tile = np.asarray(cv2.cvtColor(enlarged, cv2.COLOR_GRAY2BGR), np.uint8)
-    shown = found.boxes[found.scores >= threshold]
+    shown = detections.boxes[detections.scores >= threshold]
     truth = image.labelled.boxes
     pairs = match_greedily(shown, truth)
     hits = [number for number, _ in pairs]

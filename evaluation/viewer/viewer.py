@@ -58,14 +58,14 @@ def sheet(words: list[str]) -> None:
     parser.add_argument("--pairs", type=int, default=8, help="pairs or frames to show")
     arguments = parser.parse_args(words)
     if is_recording(arguments.dir):
-        path = _of_recording(arguments.dir, arguments.out, arguments.pairs)
+        path = _draw_recording(arguments.dir, arguments.out, arguments.pairs)
     else:
         path = preview(arguments.dir, out=arguments.out, pairs=arguments.pairs)
     print(f"preview: {path}")
 
 
-def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
-    """Draw frames, evenly spread, pings as fans; returns the path."""
+def _draw_recording(source: Path, out: Path | None, frames: int) -> Path:
+    """Draw evenly spread frames of a recording, pings as fans; returns the path."""
     if out is None:
         raise FactoryError(f"{source}: a recording has no folder of its own; give --out FILE.png")
     if frames < 1:
@@ -84,7 +84,7 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
 _RATE_HZ = 10.0
 _MOST_RATE_HZ = 30.0
 _PAGE = Path(__file__).with_name("view.html")
-_ASKED = re.compile(r"/(?:image|facts)/(\d{1,12})(?:/(\d{1,3})\.png|\.json)")
+_LAYER_PATH = re.compile(r"/(?:image|facts)/(\d{1,12})(?:/(\d{1,3})\.png|\.json)")
 
 
 class Viewer(PageServer):
@@ -105,7 +105,7 @@ class Viewer(PageServer):
         if path == "/about.json":
             about = {"title": shown.title, "layers": shown.layers, "count": len(shown)}
             return json_answer({**about, "rate_hz": shown.rate_hz})
-        match = _ASKED.fullmatch(path)
+        match = _LAYER_PATH.fullmatch(path)
         number, layer = (int(text or 0) for text in match.groups()) if match else (len(shown), 0)
         if number >= len(shown) or layer >= len(shown.layers):
             raise UnknownPath
@@ -130,7 +130,8 @@ _LABELS = ("segmentation", "instance")
 class ShownDataset:
     """All samples of a dataset, or the frames of one recording in the order of time.
 
-    layers: of each, the first is shown before the second.  rate_hz: frames a second when played.
+    layers: names of the layers; the page compares the first two.
+    rate_hz: frames a second when played.
     """
 
     def __init__(self, folder: Path, recording: str = "") -> None:
@@ -156,7 +157,7 @@ class ShownDataset:
         return len(self._samples)
 
     def image(self, number: int, layer: int) -> Pixels:
-        """One layer of one.  Raises FactoryError when it is damaged."""
+        """One layer of a sample as pixels.  Raises FactoryError when it is damaged."""
         name = self.layers[layer]
         image = self._pairs[self._samples[number]][name]
         if name in _LABELS:
@@ -192,7 +193,7 @@ class ShownRecording:
         return min(map(len, self._recordings))
 
     def image(self, number: int, layer: int) -> Pixels:
-        """Of pings the fan."""
+        """The image of a frame; of pings the fan."""
         frame = self._recordings[layer][number]
         grey = grey_of(frame)
         if frame.beams is not None:
@@ -200,7 +201,7 @@ class ShownRecording:
         return _grey(grey[..., 2::-1] if grey.ndim == 3 else grey)
 
     def polar_image(self, number: int, layer: int) -> Pixels:
-        """Of pings the samples, near range first; of images the same as `image` gives."""
+        """The samples of a ping, near range first; of images what `image` gives."""
         frame = self._recordings[layer][number]
         if frame.beams is None:
             return self.image(number, layer)
@@ -218,14 +219,14 @@ class ShownRecording:
 
     @cached_property
     def rate_hz(self) -> float:
-        """By the times of the first two frames."""
+        """Frames a second, by the times of the first two frames."""
         times_s: list[float | None] = []
         with suppress(FactoryError):
             times_s += [self._recordings[0][number].time_s for number in range(min(2, len(self)))]
         return _rate_hz(times_s)
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         for recording in self._recordings:
             recording.close()
 
@@ -276,7 +277,7 @@ def _opened(path: Path) -> Recording:
 
 
 def _grey(image: Array) -> Pixels:
-    """0..1 or a mask as it is; metres and radians from their least to their largest."""
+    """Grey pixels: 0..1 and masks keep their scale, metres and radians fill it."""
     values = image.astype(np.float32)
     known = np.isfinite(values)
     low, high = (values[known].min(), values[known].max()) if known.any() else (0, 1)

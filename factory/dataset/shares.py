@@ -21,8 +21,8 @@ def loader_share() -> Share:
 
     Looks at torch where the program has loaded it, and never loads it.
     """
-    data = sys.modules.get("torch.utils.data")
-    worker = data.get_worker_info() if data is not None else None
+    torch_data = sys.modules.get("torch.utils.data")
+    worker = torch_data.get_worker_info() if torch_data is not None else None
     if worker is None:
         return WHOLE
     return Share(worker.id, worker.num_workers)

@@ -172,15 +172,15 @@ def rendered_frames(config: FactoryConfig, split: str) -> tuple[FrameRef, ...]:
     if not of_split:
         raise FactoryError(f"split={split}: none of the {len(frames)} frames is in it")
     views = open_views(config)
-    ready = tuple(ref for ref in of_split if views.holds(ref))
-    if not ready:
+    rendered = tuple(ref for ref in of_split if views.holds(ref))
+    if not rendered:
         raise FactoryError(
             f"none of the {len(of_split)} {split} frames is rendered by this version in "
             f"{config.cache.folder}; run `simnfnd make` with the same words and a fresh "
             "dataset.dir first, which leaves its renders there, or take a pack with scenes=pack "
             "scenes.root=FILE"
         )
-    return ready
+    return rendered
 
 
 @lru_cache(maxsize=_ROUNDS_IN_MEMORY)

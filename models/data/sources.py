@@ -62,13 +62,13 @@ def open_data(settings: ModelsSettings) -> Data:
     if not isinstance(data, RenderedData):
         source = TrainingPairs(learning, table.sonar, weaker=data.weaker, seed=seed)
         return Data(source, validation, facts)
-    config, ready, others = renders_of(data, folder, learning, held)
-    names = "\n".join(ref.name for ref in ready)
+    config, rendered, others = renders_of(data, folder, learning, held)
+    names = "\n".join(ref.name for ref in rendered)
     facts |= {
-        "renders.frames": len(ready),
+        "renders.frames": len(rendered),
         "renders.names": hashlib.blake2b(names.encode(), digest_size=8).hexdigest(),
     }
-    points = RenderSource(config, ready, data, seed)
+    points = RenderSource(config, rendered, data, seed)
     if not isinstance(data, MixedData):
         return Data(points, validation, facts)
     mixed = _mixed(data, points, others, seed)
@@ -145,8 +145,8 @@ def renders_of(
         if (f"{ref.location}/{ref.scene}", ref.frame if alone else "") not in names
     )
     views = open_views(config)
-    ready = tuple(ref for ref in training if views.holds(ref))
-    if not ready:
+    rendered = tuple(ref for ref in training if views.holds(ref))
+    if not rendered:
         remedy = "make the dataset again with this version in a fresh folder"
         if data.make and dataset == Path(_folder_of_renders(data)):
             remedy = f"delete {dataset} and give the same command again, which makes it anew"
@@ -155,11 +155,11 @@ def renders_of(
             f"render in {config.cache.folder}; the folder is of another version, or the cache "
             f"was cleared: {remedy}, or give data.pack=FILE"
         )
-    missing = len(training) - len(ready)
-    print(f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else ""))
+    missing = len(training) - len(rendered)
+    print(f"renders: {len(rendered)} frames" + (f", {missing} not rendered" if missing else ""))
     learned = set(training)
     others = tuple(ref for ref in refs if ref not in learned and views.holds(ref))
-    return Renders(config, ready, others)
+    return Renders(config, rendered, others)
 
 
 class Renders(NamedTuple):

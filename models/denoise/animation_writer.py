@@ -93,8 +93,8 @@ def _write_webp(output: IO[bytes], images: Iterable[TimedImage], source: Animati
         place = (
             _three_bytes(0) + _three_bytes(0) + _three_bytes(width - 1) + _three_bytes(height - 1)
         )
-        about = place + _three_bytes(_milliseconds(timed)) + bytes([overwrites])
-        _write_riff_chunk(output, b"ANMF", about + _webp_data(timed.image))
+        frame_control = place + _three_bytes(_milliseconds(timed)) + bytes([overwrites])
+        _write_riff_chunk(output, b"ANMF", frame_control + _webp_data(timed.image))
     length = output.tell()
     output.seek(4)
     output.write(struct.pack("<I", length - 8))
@@ -138,14 +138,16 @@ def _write_png(output: IO[bytes], images: Iterable[TimedImage], source: Animatio
             output.write(png_chunk(b"acTL", struct.pack(">2I", 0, source.loops)))
         height, width = image.shape[:2]
         place = (width, height, 0, 0)
-        about = struct.pack(">5I2H2B", sequence, *place, _milliseconds_16(timed), 1000, 0, 0)
-        output.write(png_chunk(b"fcTL", about))
+        frame_control = struct.pack(
+            ">5I2H2B", sequence, *place, _milliseconds_16(timed), 1000, 0, 0
+        )
+        output.write(png_chunk(b"fcTL", frame_control))
         sequence += 1
-        for kind, data in chunks:
+        for kind, body in chunks:
             if kind == b"IDAT" and count == 0:
-                output.write(png_chunk(b"IDAT", data))
+                output.write(png_chunk(b"IDAT", body))
             elif kind == b"IDAT":
-                output.write(png_chunk(b"fdAT", struct.pack(">I", sequence) + data))
+                output.write(png_chunk(b"fdAT", struct.pack(">I", sequence) + body))
                 sequence += 1
         count += 1
     output.write(png_chunk(b"IEND", b""))

@@ -2,7 +2,7 @@
 
 It is a pickle of the objects that a sequence is made of.  A file in an output folder is not to be
 trusted, so reading makes arrays, containers and the classes of this project alone: no function is
-called by name, and what was damaged or cut off is told by its checksum.
+called by name, and a checksum reveals bytes that were damaged or cut off.
 """
 
 from __future__ import annotations
@@ -48,6 +48,8 @@ def unpacked(content: bytes) -> Any:
 
 
 class _Unpickler(pickle.Unpickler):
+    """Refuses every class and function that a state does not need."""
+
     def find_class(self, module: str, name: str) -> Any:
         if name in _OTHERS.get(module, ()):
             return super().find_class(module, name)

@@ -115,9 +115,9 @@ class Removed:
     def _insonified(self) -> Array:
         """(H, W) float32: 1 where the sonar received anything, else 0."""
         level = cv2.blur(grey_of(self.noisy), (_GRAIN_PX, _GRAIN_PX))
-        some = level[::_EVERY_PX, ::_EVERY_PX]
-        some = some[some > 0]
-        bright = float(np.quantile(some, _BRIGHT)) if some.size else 1.0
+        sampled = level[::_EVERY_PX, ::_EVERY_PX]
+        sampled = sampled[sampled > 0]
+        bright = float(np.quantile(sampled, _BRIGHT)) if sampled.size else 1.0
         return (level > _INSONIFIED * bright).astype(np.float32)
 
     @cached_property

@@ -70,9 +70,9 @@ class FileReport:
         worst = self.removed.worst
         if worst is not None:
             row |= _removed_columns(*worst, self.removed.limit())
-        few = 0 < (row["strength_measured_on"] or 0) < LEAST_MEASURED
+        has_few_measured = 0 < (row["strength_measured_on"] or 0) < LEAST_MEASURED
         warnings = [*self.warnings]
-        if few:
+        if has_few_measured:
             warnings.append("strength measured on too few frames")
         row["warnings"] = "; ".join(warnings)
         return row

@@ -44,7 +44,7 @@ class Unfinished:
         return None
 
     def open_spool(self, length: int = 0) -> Spool:
-        """The spool, of which so many bytes count.  Raises FactoryError."""
+        """Open the spool and cut it to `length` bytes.  Raises FactoryError."""
         with explain_os_errors(self._folder, "--out"):
             self._spool = Spool(self._folder / "frames", length)
         return self._spool
@@ -61,15 +61,15 @@ class Unfinished:
         write_atomically(self._state_path, content, key="--out")
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         if self._spool is not None:
             self._spool.close()
 
     def remove(self) -> None:
-        """The recording is written, or cannot be."""
+        """Delete what was kept, once the recording is written or cannot be."""
         self.close()
         shutil.rmtree(self._folder, ignore_errors=True)
-        with suppress(OSError):  # others are there
+        with suppress(OSError):  # it holds other recordings
             self._parent.rmdir()
 
     @property

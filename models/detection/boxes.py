@@ -62,8 +62,8 @@ def mirror_boxes(boxes: Boxes, width: int) -> Boxes:
 def suppress_duplicates(boxes: Boxes, scores: Float32s, iou: float) -> list[int]:
     """Numbers of the boxes to keep, best first: none overlaps a better one by more than `iou`."""
     overlap = intersection_over_union(boxes, boxes)
-    kept: list[int] = []
+    kept_numbers: list[int] = []
     for number in np.argsort(-scores, kind="stable").tolist():
-        if all(overlap[number, better] <= iou for better in kept):
-            kept.append(number)
-    return kept
+        if all(overlap[number, better] <= iou for better in kept_numbers):
+            kept_numbers.append(number)
+    return kept_numbers

@@ -75,9 +75,11 @@ def find_objects(images: Sequence[UInt8s], detector: str = SHIPPED_NAME) -> list
     return [
         [
             FoundObject(trained.classes[label], float(score), *map(float, box))
-            for box, score, label in zip(found.boxes, found.scores, found.labels, strict=True)
+            for box, score, label in zip(
+                detections.boxes, detections.scores, detections.labels, strict=True
+            )
         ]
-        for found in detect(trained, unlabelled)
+        for detections in detect(trained, unlabelled)
     ]
 
 
@@ -87,28 +89,28 @@ def detect(trained: TrainedDetector, images: Sequence[LabelledImage]) -> list[De
     Every image is looked at in three sizes, each as it is and mirrored.
     """
     by_size = [_detect_at(trained.network, images, side_px) for side_px in _SIDES_PX]
-    found = []
+    detections = []
     for image, views in zip(images, zip(*by_size, strict=True), strict=True):
         fused = _fuse(views)
         margin_px = trained.margin * max(image.image.shape)
         boxes = grow_boxes(fused.boxes, margin_px, *image.image.shape)
-        found.append(Detections(boxes, fused.scores, fused.labels))
-    return found
+        detections.append(Detections(boxes, fused.scores, fused.labels))
+    return detections
 
 
 def _detect_at(
     network: DetectorNetwork, images: Sequence[LabelledImage], side_px: int
 ) -> list[Detections]:
     """The objects in each image at one size; views and mirrored views are averaged."""
-    found: list[Detections] = []
+    detections: list[Detections] = []
     for start in range(0, len(images), _BATCH):
         batch = [scale_image(image, side_px) for image in images[start : start + _BATCH]]
         shape = canvas_shape(batch, DIVISOR)
         inputs = np.stack([place_unchanged(working, shape)[0] for working in batch])
         outputs = _with_mirror(network, torch.from_numpy(inputs))
         for number, working in enumerate(batch):
-            found.append(_decode(outputs, number, working))
-    return found
+            detections.append(_decode(outputs, number, working))
+    return detections
 
 
 def _fuse(views: Sequence[Detections]) -> Detections:
@@ -176,6 +178,8 @@ def _decode(outputs: Outputs, number: int, working: WorkingImage) -> Detections:
     boxes = clip_boxes(np.asarray((corners * STRIDE).numpy(), np.float32), height, width)
     classes = outputs.classes[number].flatten(1)[:, places].argmax(0)
     values = np.asarray(scores.numpy(), np.float32)
-    kept = suppress_duplicates(boxes, values, _SAME_IOU)
-    original_boxes = boxes[kept] / np.float32(working.scale)
-    return Detections(original_boxes, values[kept], np.asarray(classes.numpy(), np.int64)[kept])
+    kept_numbers = suppress_duplicates(boxes, values, _SAME_IOU)
+    original_boxes = boxes[kept_numbers] / np.float32(working.scale)
+    return Detections(
+        original_boxes, values[kept_numbers], np.asarray(classes.numpy(), np.int64)[kept_numbers]
+    )

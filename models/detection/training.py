@@ -132,7 +132,7 @@ class _Training:
         self.shape = canvas_shape(every_image, DIVISOR)
 
     def run(self, folder: Path, recipe: Mapping[str, Any], label: str) -> None:
-        """All steps that are left; keeps a checkpoint in the folder."""
+        """Take all steps that are left, and keep a checkpoint in the folder."""
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / CHECKPOINT_NAME
         if path.is_file():
@@ -166,14 +166,14 @@ class _Training:
         self.step += 1
 
     def _learning_rate(self) -> float:
-        """Of the next step: it rises, stays, and falls to zero, all linearly."""
+        """The learning rate of the next step: it rises, stays, and falls to zero, linearly."""
         steps = self.schedule.steps
         risen = (self.step + 1) / min(_RISE_STEPS, max(1, steps // 4))
         left = (steps - self.step) / max(1.0, _FALL_SHARE * steps)
         return self.schedule.learning_rate * min(risen, 1.0, left)
 
     def _draw_batch(self) -> tuple[Tensor, Targets]:
-        """The images of this step: a function of the seed and its number alone."""
+        """Draw the images of this step, as the seed and the number of the step decide alone."""
         rng = stream(self.schedule.seed, "detector", self.step)
         shares = np.array([source.share for source in self.sources])
         inputs = []
@@ -190,7 +190,7 @@ class _Training:
 
     @torch.no_grad()
     def _update_average(self) -> None:
-        """Short at first, when weights change fast."""
+        """Move the average towards the weights, faster at first, when weights change fast."""
         keep = min(1 - 1 / _AVERAGE_STEPS, (1 + self.step) / (10 + self.step))
         current = self.network.state_dict()
         for name, tensor in self.average.state_dict().items():

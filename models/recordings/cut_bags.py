@@ -187,9 +187,9 @@ def _add_schema(content: bytes, schemas: dict[int, Any]) -> None:
     from rosbags.rosbag2.storage_mcap import Schema
 
     stream = BytesIO(content[2:])
-    name, encoding, data = (_sized(stream, 4)[0].decode() for _ in range(3))
+    name, encoding, definition = (_sized(stream, 4)[0].decode() for _ in range(3))
     (number,) = struct.unpack_from("<H", content)
-    schemas[number] = Schema(number, name, encoding, data)
+    schemas[number] = Schema(number, name, encoding, definition)
 
 
 def _add_channel(

@@ -84,11 +84,11 @@ def register_recording(entry: RecordingEntry) -> None:
 
 def entries() -> list[RecordingEntry]:
     """All readers of other packages; those that cannot be loaded are left out."""
-    found = []
+    loadable = []
     for name in extensions.names(KIND):
         with suppress(FactoryError):
-            found.append(entry_of(name))
-    return found
+            loadable.append(entry_of(name))
+    return loadable
 
 
 def entry_of(name: str) -> RecordingEntry:

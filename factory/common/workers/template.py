@@ -34,13 +34,16 @@ _owner = 0
 
 
 def start(modules: tuple[str, ...]) -> None:
-    """Start it, unless it runs or has no modules; returns at once, while it imports them."""
-    if not modules or runs() or sys.platform != "linux" or _is_anothers():
+    """Start the template, unless it runs; returns at once, while it imports the modules.
+
+    Without modules there is nothing to share, and none is started.
+    """
+    if not modules or runs() or sys.platform != "linux" or _has_foreign_server():
         return
     global _owner
     held = hold_interrupts()
     forkserver.set_forkserver_preload(list(modules))
-    # In a process that is itself a fork, it is another's.
+    # In a forked process the fork server belongs to the parent, and this raises.
     with one_thread(), suppress(ChildProcessError):
         forkserver.ensure_running()
         _owner = os.getpid()
@@ -50,7 +53,7 @@ def start(modules: tuple[str, ...]) -> None:
 def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
     """A process that runs `target(*arguments)`: if it `forks`, a fork of the template.
 
-    Where none runs, or it dies or is killed meanwhile because it hangs, it is spawned.
+    Where no template runs, or it dies or hangs meanwhile, the process is spawned.
     """
     process: BaseProcess
     with _main_module_hidden():
@@ -86,11 +89,11 @@ def _main_module_hidden() -> Iterator[None]:
 
 
 def runs() -> bool:
-    """Whether one was started, by this process."""
+    """Whether this process has started the template."""
     return _owner == os.getpid()
 
 
-def _is_anothers() -> bool:
+def _has_foreign_server() -> bool:
     """Whether the program that uses this one as a library has a fork server of its own."""
     return fork_server_pid() is not None
 
@@ -101,7 +104,7 @@ def kill() -> None:
     global _owner
     if not runs():
         return
-    # The next `start` starts another.
+    # The next `start` may then start another.
     _owner = 0
     kill_fork_server()
 
@@ -120,10 +123,10 @@ def one_thread() -> Iterator[None]:
 
 
 def hold_interrupts() -> set[int]:
-    """Keep Ctrl-C, which goes to the whole process group of a terminal, from this thread.
+    """Keep Ctrl-C, which a terminal sends to all its processes, from this thread and its children.
 
-    And from what it starts.  Returns the signals that were held before.
+    Returns the signals that were held before.
     """
-    # Its start would lift the hold, so it has to run before.
+    # The resource tracker lifts the hold when it starts, so it has to run before.
     resource_tracker.ensure_running()
     return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}))

@@ -53,9 +53,10 @@ if TYPE_CHECKING:
     from ..scheduler.results import RunReport
 
 PRINTING = RunReporter()
-# Images of which less is lit are hardly meant.
+# Nobody wants images of which a smaller share is lit.
 _LEAST_LIT = 0.01
-_LIKELIEST = (
+_WHOLE_SECTOR_SHARE = 0.98
+_REMEDY = (
     "check sonar.hfov_deg (degrees), sonar.range (metres) and, of your own recordings, "
     "scenes.intrinsics (pixels) and scenes.depth_scale"
 )
@@ -139,14 +140,14 @@ def run(
         return report, job.directory
     if not report.samples:
         count, reason = _commonest(report)
-        # Of no use to whoever has to repair a file.
-        hint = f"; {_LIKELIEST}" if "no echo" in reason else ""
+        # The remedy helps where no echo arrived, not where a file has to be repaired.
+        hint = f"; {_REMEDY}" if "no echo" in reason else ""
         raise FactoryError(
             f"no frame could be used: {len(report.failures)} of {len(report.failures)} failed, "
             f"{count} of them because: {reason}{hint}"
         )
     narrowest, widest = seen_sector_deg(job.directory)
-    if narrowest < 0.98 * config.sonar.hfov_deg:
+    if narrowest < _WHOLE_SECTOR_SHARE * config.sonar.hfov_deg:
         reporter.fact(
             f"sonar: the camera saw {narrowest:.0f} to {widest:.0f} of {config.sonar.hfov_deg:g} "
             "degrees; the rest is masked (azimuth_min_deg and azimuth_max_deg in /meta)"
@@ -155,7 +156,7 @@ def run(
     for warning in job.warnings:
         reporter.warning(warning)
     if (share := lit_share(job.directory)) < _LEAST_LIT:
-        reporter.warning(f"{100 * share:.2g} % of the images is lit; {_LIKELIEST}")
+        reporter.warning(f"{100 * share:.2g} % of the images is lit; {_REMEDY}")
     return report, job.directory
 
 
@@ -206,7 +207,7 @@ def job_of(
         rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
         skipped=discovery.skipped,
         facts=lambda directory: _facts(directory, config, reporter),
-        on_prepared=Cache(working.cache).grown,
+        on_prepared=Cache(working.cache).note_growth,
         warnings=warnings,
         preload=PRELOADED,
         reporter=reporter,

@@ -268,7 +268,7 @@ def _ping(
     facts: PingFacts, types: Mapping[str, Any],
 ) -> Any:  # fmt: skip
     direction = types["geometry_msgs/msg/Vector3"]
-    data = types["marine_acoustic_msgs/msg/SonarImageData"](
+    samples = types["marine_acoustic_msgs/msg/SonarImageData"](
         is_bigendian=False,
         dtype=_DTYPES[str(polar.dtype)],
         beam_count=polar.shape[1],
@@ -288,7 +288,7 @@ def _ping(
             for bearing in grid.bearings_rad.tolist()
         ],
         ranges=grid.ranges_m.astype(np.float32),
-        image=data,
+        image=samples,
     )
 
 

@@ -66,10 +66,10 @@ def _opened_once(path: Path, _modified_ns: int) -> Opened:
         raise FactoryError(f"no .blend file that Blender opens ({one_line(error)})") from error
 
     linked = _linked_files(bpy, path.parent)
-    for thing in bpy.context.scene.objects:
+    for scene_object in bpy.context.scene.objects:
         # What the exporter leaves out must not be in the images either.
-        if not thing.visible_get():
-            thing.hide_render = True
+        if not scene_object.visible_get():
+            scene_object.hide_render = True
     _reset_output(bpy.context)
     return Opened(bpy, linked)
 
@@ -172,7 +172,7 @@ def _add_camera(bpy: Any, scene: Any) -> Any:
     """A camera in the scene; in one without lights, with a lamp on it, as a vehicle has one."""
     camera = bpy.data.objects.new("simnfnd camera", bpy.data.cameras.new("simnfnd camera"))
     scene.collection.objects.link(camera)
-    if not any(thing.type == "LIGHT" for thing in scene.objects):
+    if not any(scene_object.type == "LIGHT" for scene_object in scene.objects):
         lamp = bpy.data.objects.new("simnfnd lamp", bpy.data.lights.new("lamp", "SUN"))
         lamp.data.energy = 3.0
         lamp.parent = camera

@@ -49,11 +49,13 @@ def linked_files(path: Path) -> tuple[list[str], list[str]]:
 
 
 def load(path: Path) -> bytes:
-    """The parts of a file as .npz, each outside out.  Raises FactoryError without the file's name.
+    """The parts of a file as .npz, with faces that point outward.
 
     vertices, colours, triangles: of all parts; vertex_counts, face_counts, names, turned: of each.
-    origin: (3,) what was subtracted from the vertices, units of the file.  step: between the
-    numbers that a file of 32 bits can hold there, or 0.  remarks: on what is not read.
+    origin: (3,) what was subtracted from the vertices, units of the file.
+    step: distance between neighbouring numbers of a file of 32 bits at the origin, or 0.
+    remarks: sentences on what is not read.
+    Raises FactoryError without the file's name.
     """
     suffix = path.suffix.lower()
     remarks: list[str] = []

@@ -27,7 +27,7 @@ _LENGTH_SPREAD = 0.12
 _HEADING_SPREAD_DEG = 6.0
 _WANDER_SHARE = 0.25
 _WANDER_S = (2.0, 5.0)
-_FLAT = 0.5
+_FLATNESS = 0.5
 """Height of a school over its length."""
 
 
@@ -50,7 +50,7 @@ class Actor:
     strength: Literal["love", "material"] | float
 
     def target_strength_db(self, frequency_khz: float) -> float | None:
-        """Of the whole object; None where its material decides."""
+        """Target strength of the whole object, dB; None where its material decides."""
         if self.strength == "material":
             return None
         if self.strength == "love":
@@ -97,7 +97,7 @@ def draw_cast(
         rng = seeds.stream(seed, "moving", ref.location, ref.scene, entry.number)
         least, most = entry.per_place
         for _ in range(int(rng.integers(least, most + 1))):
-            for actor in _drawn(entry, rng, origin, classes.index(entry.class_name)):
+            for actor in _draw_actors(entry, rng, origin, classes.index(entry.class_name)):
                 number = _track_number(entry, actor.number, taken)
                 taken[number] = entry.key
                 actors.append(replace(actor, number=number))
@@ -137,6 +137,10 @@ def _own_entry(number: int, own: OwnObject, moving: Moving) -> _Entry:
 
 
 def _track_number(entry: _Entry, member: int, taken: dict[int, str]) -> int:
+    """The number that the entry asks for, or the lowest that is free.
+
+    taken: number -> key of the entry that has it.  Raises FactoryError for one that is taken.
+    """
     if entry.moving.id is None:
         return next(number for number in range(1, len(taken) + 2) if number not in taken)
     number = entry.moving.id + member
@@ -148,8 +152,8 @@ def _track_number(entry: _Entry, member: int, taken: dict[int, str]) -> int:
     return number
 
 
-def _drawn(entry: _Entry, rng: Draws, origin: Origin, label: int) -> Iterator[Actor]:
-    """One object or one school, numbered from 0."""
+def _draw_actors(entry: _Entry, rng: Draws, origin: Origin, label: int) -> Iterator[Actor]:
+    """Draw one object or the members of one school, numbered from 0."""
     moving = entry.moving
     leader = _motion(moving, rng, origin, entry.key)
     length_m = 0.0
@@ -164,7 +168,7 @@ def _drawn(entry: _Entry, rng: Draws, origin: Origin, label: int) -> Iterator[Ac
             own_length_m *= float(np.exp(rng.normal(0, _LENGTH_SPREAD)))
         mesh, wave = _shape(entry, rng, own_length_m)
         half_height_m = float(np.ptp(mesh.vertices[:, 2])) / 2
-        course = _of_member(leader, moving, rng, half_height_m)
+        course = _member_course(leader, moving, rng, half_height_m)
         strength = moving.target_strength
         yield Actor(
             number=member,
@@ -179,7 +183,7 @@ def _drawn(entry: _Entry, rng: Draws, origin: Origin, label: int) -> Iterator[Ac
 
 
 def _motion(moving: Moving, rng: Draws, origin: Origin, key: str) -> Swim | RecordedPath:
-    """The way of an object, or of the middle of a school."""
+    """Draw the motion of an object, or of the middle of a school."""
     if moving.path is not None:
         file = Path(moving.path).expanduser()
         return RecordedPath(origin, waypoints(file, f"{key}.moving.path"))
@@ -197,14 +201,15 @@ def _motion(moving: Moving, rng: Draws, origin: Origin, key: str) -> Swim | Reco
     )
 
 
-def _of_member(
+def _member_course(
     leader: Swim | RecordedPath, moving: Moving, rng: Draws, half_height_m: float
 ) -> Course:
+    """Draw the course of one member: that of the leader, moved aside and wandering."""
     spread_m = 0.0
     if moving.school is not None:
         spread_m = moving.school.spread_m.draw(rng)
     ahead, left, up = (spread_m * rng.standard_normal(3)).tolist()
-    offset_m = ahead, left, _FLAT * up
+    offset_m = ahead, left, _FLATNESS * up
     if isinstance(leader, RecordedPath):
         return replace(leader, offset_m=offset_m)
     if spread_m == 0:

@@ -51,12 +51,15 @@ class Draws:
         return tuple(effect.name for effect in self.effects)
 
     def row(self, added: Mapping[str, int]) -> dict[str, Value]:
-        """The values of `columns`; NaN or "" where an effect is off.  added: `Sample.added`."""
+        """The values of `columns`; NaN or "" where an effect is off.
+
+        added: number of points by the name of the effect that added them.
+        """
         drawn = {effect.name: effect.parameters for effect in self.effects}
         row: dict[str, Value] = {
-            f"points.{name}": added.get(name, 0) for name in _making(self.settings)
+            f"points.{name}": added.get(name, 0) for name in _point_effects(self.settings)
         }
-        for effect, parameter in _recorded(self.settings):
+        for effect, parameter in _all_parameters(self.settings):
             missing = "" if parameter.metadata["type"] is str else float("nan")
             value = drawn.get(effect, {}).get(parameter.name, missing)
             row[f"noise.{effect}.{parameter.name}"] = value
@@ -68,8 +71,8 @@ def draw(
 ) -> Draws:
     """The parameters of every enabled effect for one sample.
 
-    continuous: whether the samples of a recording share their parameters; random streams they do
-        not share, but as the scope of each effect says.
+    continuous: whether the samples of a recording share their parameters.  Whether they share
+        random streams depends on the scope of each effect alone.
     """
     drawn = []
     for name, block in blocks(settings).items():
@@ -99,7 +102,7 @@ def columns(settings: NoiseSettings) -> tuple[Column, ...]:
     """Columns of the sample table: points of each effect that makes some, then all parameters."""
     counts = tuple(
         Column(f"points.{name}", "i8", "1", f"points that {name} added or moved")
-        for name in _making(settings)
+        for name in _point_effects(settings)
     )
     return counts + tuple(
         Column(
@@ -107,16 +110,16 @@ def columns(settings: NoiseSettings) -> tuple[Column, ...]:
             "S16" if parameter.metadata["type"] is str else "f8",
             parameter.metadata["unit"],
         )
-        for effect, parameter in _recorded(settings)
+        for effect, parameter in _all_parameters(settings)
     )
 
 
-def _making(settings: NoiseSettings) -> list[str]:
-    """The effects that make points."""
+def _point_effects(settings: NoiseSettings) -> list[str]:
+    """The names of the effects that add or move points."""
     return [name for name in blocks(settings) if EFFECTS[name].stage == "points"]
 
 
-def _recorded(settings: NoiseSettings) -> list[tuple[str, Field[Any]]]:
+def _all_parameters(settings: NoiseSettings) -> list[tuple[str, Field[Any]]]:
     """(effect, parameter) of every parameter that a configuration has."""
     return [
         (name, parameter) for name in blocks(settings) for parameter in EFFECTS[name].parameters

@@ -485,8 +485,8 @@ class _Layout:
 
     def inside(self) -> Bools:
         """(H, W) bool: the pixels of the sector that hold data."""
-        seen = polar.seen_beams(self._window, self._sonar)
-        bins = np.repeat(seen[None], self._sonar.range_bins, axis=0)
+        is_seen = polar.seen_beams(self._window, self._sonar)
+        bins = np.repeat(is_seen[None], self._sonar.range_bins, axis=0)
         return lay_out_nearest(bins, self._window, self._sonar)
 
     def image(self, grey: Float32s, *, is_noisy: bool) -> Array:

@@ -111,10 +111,10 @@ class Cache:
                 entries.append(CacheEntry(status.st_mtime_ns, path, status.st_size))
         return entries
 
-    def grown(self, added_bytes: int) -> None:
-        """Note that entries were added, and when there are more bytes than may be, make room.
+    def note_growth(self, added_bytes: int) -> None:
+        """Count the bytes of entries that were added; beyond the limit, make room.
 
-        What was unused longest goes, and temporary files of dead writers.
+        Removes the entries that were unused longest, and temporary files of dead writers.
         """
         if not added_bytes:
             return
@@ -136,23 +136,37 @@ class Cache:
 
 # Which frames are chosen changes none of them.
 _NOT_PIXELS = {
-    *("root", "file", "path", "locations", "first_location", "frames_per_location", "scenes"),
+    "root",
+    "file",
+    "path",
+    "locations",
+    "first_location",
+    "frames_per_location",
+    "scenes",
     # Moving objects are put into a frame after it was rendered.
     "moving_objects",
 }
 # All code and data between the files of a recording and the rendered pixels.
 RENDER_CODE = (
-    *("common/compiled.py", "common/distribution.py", "common/elementary.py", "common/errors.py"),
-    *(
-        "common/files.py",
-        "common/isolated.py",
-        "common/limits.py",
-        "common/quiet.py",
-        "common/seeds.py",
-    ),
-    *("common/settings.py", "common/small_files.py", "common/text_tables.py"),
-    *("dataset/frame_ref.py", "dataset/labels.py"),
-    *("simulation/frames", "simulation/meshes", "simulation/render", "simulation/scenes"),
+    "common/array_types.py",
+    "common/compiled.py",
+    "common/distribution.py",
+    "common/elementary.py",
+    "common/errors.py",
+    "common/files.py",
+    "common/isolated.py",
+    "common/limits.py",
+    "common/quiet.py",
+    "common/seeds.py",
+    "common/settings.py",
+    "common/small_files.py",
+    "common/text_tables.py",
+    "dataset/frame_ref.py",
+    "dataset/labels.py",
+    "simulation/frames",
+    "simulation/meshes",
+    "simulation/render",
+    "simulation/scenes",
 )
 """Modules and rooms of the factory; of a room, all files."""
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
@@ -176,15 +190,18 @@ def _code_version(kind: str) -> str:
 
 @lru_cache(maxsize=64)
 def _digest(path: str, size: int, modified_ns: int, changed_ns: int) -> str:
-    # A tool may keep size and time of what it rewrites, but not when the file changed.
-    # Calibrations and trajectories come with every frame of a recording: read them once.
-    # SHA-256, for which processors have instructions: half the time of BLAKE2b.
-    with open_regular(Path(path)) as file:  # a pipe would make wait for ever
+    """Hash of a file's content, computed again once its size or one of its times has changed.
+
+    A tool that rewrites a file may restore its size and its time of modification, but not
+    `changed_ns`.  Calibrations and trajectories come with every frame, and are read once.
+    """
+    # Processors have instructions for SHA-256: it takes half the time of BLAKE2b.
+    with open_regular(Path(path)) as file:  # reading a pipe would wait for ever
         return hashlib.file_digest(file, "sha256").hexdigest()[:32]  # type: ignore[arg-type]
 
 
 class Views:
-    """Gives the renders of frames; here those in memory."""
+    """Gives the renders of frames; this class those in memory, its subclasses those on disk."""
 
     def __init__(self, views: Mapping[FrameRef, Any]) -> None:
         self._views = views

@@ -32,7 +32,7 @@ Root = Annotated[str, AfterValidator(_required_path)]
 
 @dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
 class OwnClass:
-    """What the user says of a class of objects.
+    """The properties of a class of objects that the user states.
 
     class: what it is called in labels; a name of `labels.CLASSES`, or a new one.
     reflectivity_db, lambert_exponent: see `AcousticsSettings`; None: not said here.
@@ -45,10 +45,10 @@ class OwnClass:
 
 @dataclass(frozen=True, config=STRICT)
 class SceneSettings:
-    """What all `scenes` kinds have."""
+    """The keys and answers that all `scenes` kinds have."""
 
     def own(self) -> tuple[OwnClass, ...]:
-        """What the user's own objects are and how they echo."""
+        """The classes of the user's own objects, and how they echo."""
         return ()
 
     def rendered_ref(self, ref: FrameRef) -> FrameRef:
@@ -75,7 +75,7 @@ class SceneSettings:
         return False
 
     def own_classes(self) -> tuple[str, ...]:
-        """Their classes, beside `labels.CLASSES` or among them."""
+        """Names of the user's own classes, beside `labels.CLASSES` or among them."""
         return tuple(own_class.label for own_class in self.own())
 
 
@@ -103,7 +103,7 @@ def discovery(
     skipped: Mapping[str, int] | None = None,
     notes: Iterable[str] = (),
 ) -> Discovery:
-    """What was found, sorted.  Without frames, raises FactoryError(nothing)."""
+    """The sorted frames and counts.  Raises FactoryError(nothing) where there is no frame."""
     ordered = sorted(frames, key=lambda ref: (ref.location, ref.scene, ref.frame))
     if not ordered:
         raise FactoryError(nothing)

@@ -62,18 +62,18 @@ def gain_of(grey: Array, before: float) -> float:
     return float(min(2.0 ** np.floor(np.log2(_WANTED / bright)), _MOST_GAIN))
 
 
-def gain_between(grey: Array, other: Array) -> Likeness:
+def gain_between(grey: Array, other_thumbnail: Array) -> Likeness:
     """How unlike two images of one scene, (H, W) in 0..1, are in brightness and besides."""
-    return likeness_of(thumbnail_of(grey), thumbnail_of(other))
+    return likeness_of(thumbnail_of(grey), thumbnail_of(other_thumbnail))
 
 
-def likeness_of(thumbnail: Array, other: Array) -> Likeness:
+def likeness_of(thumbnail: Array, other_thumbnail: Array) -> Likeness:
     """How unlike two thumbnails are in brightness and besides."""
-    lit = np.minimum(thumbnail, other) > _DARK
+    lit = np.minimum(thumbnail, other_thumbnail) > _DARK
     if np.count_nonzero(lit) < _LEAST_PARTS:
-        return Likeness(1.0, difference(thumbnail, other))
-    gain = float(np.median(other[lit] / thumbnail[lit]))
-    return Likeness(gain, difference(thumbnail * np.float32(gain), other))
+        return Likeness(1.0, difference(thumbnail, other_thumbnail))
+    gain = float(np.median(other_thumbnail[lit] / thumbnail[lit]))
+    return Likeness(gain, difference(thumbnail * np.float32(gain), other_thumbnail))
 
 
 def thumbnail_of(grey: Array) -> Array:
@@ -82,10 +82,10 @@ def thumbnail_of(grey: Array) -> Array:
     return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def difference(thumbnail: Array, other: Array) -> float:
+def difference(thumbnail: Array, other_thumbnail: Array) -> float:
     """Median relative difference of two thumbnails where one of them is lit, 0 to 1."""
-    lit = np.maximum(thumbnail, other) > _DARK
+    lit = np.maximum(thumbnail, other_thumbnail) > _DARK
     if np.count_nonzero(lit) < _LEAST_PARTS:
         return 0.0
-    apart = np.abs(thumbnail - other)[lit]
-    return float(np.median(apart / (thumbnail + other)[lit]))
+    apart = np.abs(thumbnail - other_thumbnail)[lit]
+    return float(np.median(apart / (thumbnail + other_thumbnail)[lit]))

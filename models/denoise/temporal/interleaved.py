@@ -142,9 +142,9 @@ class Interleaved:
         """A kind by what tells it from the others, with its frames."""
         texts = [
             text
-            for other in self._kinds
-            if other is not kind
-            for text in kind.settings.differences(other.settings)
+            for other_kind in self._kinds
+            if other_kind is not kind
+            for text in kind.settings.differences(other_kind.settings)
         ]
         name = ", ".join(dict.fromkeys(texts)) or f"like frame {kind.first}"
         plural = "s" * (kind.count != 1)

@@ -115,9 +115,9 @@ class KindFinder:
         if difference(look.thumbnail, nearest.thumbnail) < _MUCH_CLOSER * from_newest:
             return nearest
 
-        later = [other for other in self._waiting if other.number > look.number]
-        later = [other for other in later if _is_stated_like(newest, other)]
-        if any(_returns(other, look, newest) for other in later):
+        later = [later_look for later_look in self._waiting if later_look.number > look.number]
+        later = [later_look for later_look in later if _is_stated_like(newest, later_look)]
+        if any(_returns(later_look, look, newest) for later_look in later):
             return self._new_kind(look)
         return newest if is_end or len(self._waiting) > _MOST_AHEAD else None
 

@@ -129,10 +129,10 @@ def camera_image(world: SeabedWorld, ground: Ground, z_buffer: ZBuffer, exposure
     )  # fmt: skip
     # The camera sets its black level to the uniform part of the haze, and lets the
     # bright parts of the image fill most of the scale, whatever the water.
-    some = colour[::4, ::4]
+    sampled = colour[::4, ::4]
     haze = look.water[1]
-    black = haze * np.float32(0.6 * np.percentile(some.max(axis=-1), 1) / haze.max())
-    bright = max(float(np.percentile((some - black).max(axis=-1), 97)), 1e-3)
+    black = haze * np.float32(0.6 * np.percentile(sampled.max(axis=-1), 1) / haze.max())
+    bright = max(float(np.percentile((sampled - black).max(axis=-1), 97)), 1e-3)
     gamma = np.round(255 * (np.arange(4096) / 4095) ** (1 / 2.2)).astype(np.uint8)
     gain = np.float32(exposure / bright)
     rgb: UInt8s = kernels.expose(colour, black, gain, gamma, *z_buffer.which.shape)
@@ -248,15 +248,15 @@ def choose_pose(world: SeabedWorld, frame: int, stance: Stance) -> Pose:
         x, y, ahead = np.where(left, *axes)
         column = np.clip((x / ahead * fx + cx + 0.5).astype(np.int64), 0, _LOOKOUT.width - 1)
         row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
-        inverse, thing = (
+        inverse, object_number = (
             np.where(left, left_plane[row, column], right_plane[row, column])
             for left_plane, right_plane in zip(*images, strict=True)
         )
         has_surface = inverse * ahead > 0
         depth_m = 1 / np.where(has_surface, inverse * ahead, 1e-9)
         range_m = depth_m * length
-        has_object = (thing > 0) & (range_m < 0.8 * clear_m)
-        shown = np.unique(thing[has_object])
+        has_object = (object_number > 0) & (range_m < 0.8 * clear_m)
+        shown = np.unique(object_number[has_object])
         own_count = np.count_nonzero(shown >= world.first_own)
 
         missing_share = (range_m > clear_m).mean()

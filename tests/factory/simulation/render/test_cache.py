@@ -98,7 +98,7 @@ def test_what_was_unused_longest_goes_first(tmp_path: Path) -> None:
     for number, (_, path, _) in enumerate(cache.entries()):
         os.utime(path, (1000 + number, 1000 + number))
     assert cache.get("0000") is not None  # used now, so it stays
-    Cache(CacheSettings(dir=str(tmp_path), max_bytes=3 * sizes[0])).grown(sizes[0])
+    Cache(CacheSettings(dir=str(tmp_path), max_bytes=3 * sizes[0])).note_growth(sizes[0])
     left = {path.stem for _, path, _ in cache.entries()}
     assert "0000" in left
     assert left - {"0000"} == {f"{number:04d}" for number in range(6 - len(left) + 1, 6)}
