@@ -161,6 +161,9 @@ class TransferSettings:
     class_names: dict[str, str] | None
     padding: Annotated[float, Field(ge=0, le=0.2)]
     margin: Annotated[float, Field(ge=-0.2, le=0.2)]
+    with_shadow: list[str]
+    min_visibility: Annotated[float, Field(ge=-100, le=100)] | None
+    min_side: Annotated[float, Field(ge=0, le=0.2)]
     clutter: bool
     arms: Annotated[list[ArmName], Field(min_length=1)]
     shares: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=1)]

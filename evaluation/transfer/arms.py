@@ -21,7 +21,7 @@ from ..judging.settings import TransferSettings
 from .blobs import detect_blobs
 from .coco import RealImages
 from .scores import countable
-from .simulated import read_simulated, simulated_classes
+from .simulated import LabelRules, read_simulated, simulated_classes
 
 BLOB = "blob detector, no training"
 SIMULATION = "simulation alone"
@@ -187,9 +187,7 @@ def open_training(settings: TransferSettings) -> Comparison:
     for name in classes:
         if name not in known:
             raise FactoryError(f"classes: {folder} has no {name}; it has {', '.join(known)}")
-    learned, held_out = read_simulated(
-        folder, classes, padding=settings.padding, limit=settings.limit
-    )
+    learned, held_out = read_simulated(folder, classes, rules_of(settings), limit=settings.limit)
     nothing = RealImages(Path(folder).name, (), classes, has_groups=False)
     return Comparison(settings, nothing, learned, held_out)
 
@@ -219,9 +217,19 @@ def open_comparison(settings: TransferSettings, real: RealImages) -> Comparison:
             f"dataset ({', '.join(known)}); map them, as in class_names={{Tyre: Tire}}"
         )
     learned, held_out = read_simulated(
-        settings.dataset.dir, real.classes, padding=settings.padding, limit=settings.limit
+        settings.dataset.dir, real.classes, rules_of(settings), limit=settings.limit
     )
     return Comparison(settings, real, learned, held_out)
+
+
+def rules_of(settings: TransferSettings) -> LabelRules:
+    """How the objects of the dataset are labelled."""
+    return LabelRules(
+        padding=settings.padding,
+        with_shadow=tuple(settings.with_shadow),
+        min_visibility_db=settings.min_visibility,
+        min_side=settings.min_side,
+    )
 
 
 def folds_of(groups: Sequence[str], fold_count: int) -> list[list[int]]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...factory.common.array_types import Bools, Float32s, Int64s
 from .boxes import Boxes, areas, clip_boxes, mirror_boxes
-from .clutter import add_clutter, add_shadows
+from .clutter import add_clutter, add_repeats, add_shadows
 from .images import WorkingImage
 from .normalise import normalise
 
@@ -37,6 +37,8 @@ def vary(
     images whose places are emptier than real ones.
     """
     image, is_fan, boxes, labels = _place(working, shape, rng)
+    if with_clutter and rng.random() < 0.3:
+        image = add_repeats(image, rng)
     if with_clutter and rng.random() < 0.8:
         image = add_clutter(image, boxes, rng)
     if rng.random() < 0.3:

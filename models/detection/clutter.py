@@ -21,8 +21,7 @@ def add_clutter(image: Float32s, boxes: Boxes, rng: Generator) -> Float32s:
     """The image with a few unlabelled echoes, (H, W) in 0..1; none lies over most of an object."""
     layer = np.zeros(image.shape, np.float32)
     for _ in range(int(rng.integers(0, 7))):
-        draw = (_draw_rope, _draw_grid, _draw_blob, _draw_blob, _draw_arc)[int(rng.integers(5))]
-        draw(layer, rng)
+        _DRAWS[int(rng.integers(len(_DRAWS)))](layer, rng)
     if rng.random() < 0.3:
         height, width = image.shape
         wall = _wall(height, width, rng)
@@ -32,6 +31,26 @@ def add_clutter(image: Float32s, boxes: Boxes, rng: Generator) -> Float32s:
     grain = np.sqrt(rng.exponential(1.0, image.shape)).astype(np.float32)
     grain = np.clip(grain, 0.2, 1.6)
     return np.asarray(np.clip(np.maximum(image, blurred * grain), 0, 1), np.float32)
+
+
+def add_repeats(image: Float32s, rng: Generator) -> Float32s:
+    """The image with fainter copies of its echoes farther away, as reverberation shows them.
+
+    Sound that takes a detour within an object or past a wall arrives later, and smeared.
+    """
+    height = image.shape[0]
+    blurred = cv2.GaussianBlur(image, (0, 0), float(rng.uniform(0.6, 2.0)), sigmaY=0.6)
+    repeated = np.asarray(blurred, np.float32)
+    level = float(rng.uniform(0.2, 0.6))
+    step = int(rng.integers(4, max(5, height // 5)))
+    result = image.copy()
+    for number in range(1, int(rng.integers(2, 4))):
+        shift = number * step
+        if shift >= height:
+            break
+        # Ranges grow towards the top.
+        np.maximum(result[:-shift], level**number * repeated[shift:], out=result[:-shift])
+    return result
 
 
 def add_shadows(image: Float32s, rng: Generator) -> Float32s:
@@ -107,6 +126,32 @@ def _draw_arc(layer: Float32s, rng: Generator) -> None:
     level = float(rng.uniform(0.25, 0.8))
     ends_deg = (middle_deg - half_deg, middle_deg + half_deg)
     cv2.ellipse(layer, apex, (radius, radius), 0, *ends_deg, (level,), int(rng.integers(1, 4)))
+
+
+def _draw_dashes(layer: Float32s, rng: Generator) -> None:
+    """A few short strokes across the beams, as edges of a wall, pipes and fittings show."""
+    height, width = layer.shape
+    middle_x, middle_y = rng.uniform((0, 0), (width, height))
+    level = float(rng.uniform(0.3, 1.0))
+    slope = float(rng.normal(0, 0.25))
+    for _ in range(int(rng.integers(1, 8))):
+        x = middle_x + float(rng.normal(0, 10))
+        y = middle_y + float(rng.normal(0, 6))
+        half = float(rng.uniform(1.5, 8))
+        start = (int(x - half), int(y - slope * half))
+        end = (int(x + half), int(y + slope * half))
+        cv2.line(layer, start, end, (level * float(rng.uniform(0.5, 1)),), int(rng.integers(1, 3)))
+
+
+_DRAWS = (
+    _draw_rope,
+    _draw_grid,
+    _draw_blob,
+    _draw_blob,
+    _draw_dashes,
+    _draw_dashes,
+    _draw_arc,
+)
 
 
 def _wall(height: int, width: int, rng: Generator) -> Float32s:

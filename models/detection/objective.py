@@ -54,9 +54,9 @@ def draw_targets(
         spread_y = max(0.6, _SPREAD * (bottom - top))
         centre_x = min(int((left + right) / 2), columns - 1) + 0.5
         centre_y = min(int((top + bottom) / 2), rows - 1) + 0.5
-        peak = np.exp(
-            -((x - centre_x) ** 2 / (2 * spread_x**2)) - (y - centre_y) ** 2 / (2 * spread_y**2)
-        )
+        # A normal peak is the product of one along x and one along y.
+        peak_x = np.exp(-((x - centre_x) ** 2) / (2 * spread_x**2))
+        peak = np.exp(-((y - centre_y) ** 2) / (2 * spread_y**2)) * peak_x
         np.maximum(heat[0], peak, out=heat[0])
         is_taught = (peak >= _TAUGHT) & (x > left) & (x < right) & (y > top) & (y < bottom)
         distances = np.broadcast_arrays(x - left, y - top, right - x, bottom - y)

@@ -84,6 +84,7 @@ def train_detector(
         raise FactoryError("there are no images to learn from")
     training = _Training(sources, len(classes), schedule, start)
     training.run(folder, recipe, label)
+    training._copy_counts()
     average = training.average.eval()
     save_detector(detector_path, TrainedDetector(average, tuple(classes), recipe))
     (folder / CHECKPOINT_NAME).unlink(missing_ok=True)
@@ -100,6 +101,23 @@ def _refuse_other_recipe(
             f"{folder}: holds a detector with another {', '.join(keys)}; choose another out=, or "
             "delete the folder"
         )
+
+
+class _Pairs:
+    """Tensors of an average and of the network that it follows, in the same order.
+
+    Both share memory with their modules, whose states may be loaded but not replaced.
+    """
+
+    def __init__(self, average: DetectorNetwork, network: DetectorNetwork) -> None:
+        current = network.state_dict()
+        followed = [
+            (tensor, current[name])
+            for name, tensor in average.state_dict().items()
+            if tensor.is_floating_point()
+        ]
+        self.averages = [average for average, _ in followed]
+        self.values = [value for _, value in followed]
 
 
 class _Training:
@@ -127,7 +145,9 @@ class _Training:
             self.network.parameters(),
             lr=schedule.learning_rate,
             weight_decay=_WEIGHT_DECAY,
+            fused=True,  # one pass over all weights
         )
+        self._smooth = _Pairs(self.average, self.network)
         every_image = [working for source in sources for working in source.images]
         self.shape = canvas_shape(every_image, DIVISOR)
 
@@ -192,14 +212,17 @@ class _Training:
     def _update_average(self) -> None:
         """Move the average towards the weights, faster at first, when weights change fast."""
         keep = min(1 - 1 / _AVERAGE_STEPS, (1 + self.step) / (10 + self.step))
+        torch._foreach_lerp_(self._smooth.averages, self._smooth.values, 1 - keep)
+
+    def _copy_counts(self) -> None:
+        """Whole numbers, such as the batches that a norm has seen, have no average."""
         current = self.network.state_dict()
         for name, tensor in self.average.state_dict().items():
-            if tensor.is_floating_point():
-                tensor.lerp_(current[name], 1 - keep)
-            else:
+            if not tensor.is_floating_point():
                 tensor.copy_(current[name])
 
     def _save(self, path: Path, recipe: Mapping[str, Any]) -> None:
+        self._copy_counts()
         content = io.BytesIO()
         state = {
             "recipe": json.dumps(recipe, sort_keys=True),

@@ -27,8 +27,14 @@ from simnfnd.evaluation.transfer.scores import (
     threshold_at,
 )
 from simnfnd.evaluation.transfer.sheet import detection_sheet, match_greedily
-from simnfnd.evaluation.transfer.simulated import read_simulated
+from simnfnd.evaluation.transfer.simulated import (
+    LabelRules,
+    _SimulatedObject,
+    _visible,
+    read_simulated,
+)
 from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.production.export.object_boxes import Box
 from simnfnd.models.detection.boxes import no_boxes
 from simnfnd.models.detection.detector import Detections
 from simnfnd.models.detection.images import LabelledImage
@@ -246,18 +252,35 @@ def test_blobs_are_found() -> None:
 
 def test_simulated_objects_are_the_masks(tmp_path: Path) -> None:
     dataset = write_labelled_dataset(tmp_path)
-    learned, held_out = read_simulated(dataset, ("Bottle", "Tire"), padding=0)
+    learned, held_out = read_simulated(dataset, ("Bottle", "Tire"), LabelRules())
     assert (len(learned), len(held_out)) == (8, 2)
     for working in learned:
         sides = (working.labelled.boxes[:, 2:] - working.labelled.boxes[:, :2]) / working.scale
         wanted = np.array([[8, 24], [16, 16]])[working.labelled.labels]
         np.testing.assert_allclose(sides, wanted, rtol=1e-5)
-    padded, _ = read_simulated(dataset, ("Tire",), padding=1 / HEIGHT)
+    padded, _ = read_simulated(dataset, ("Tire",), LabelRules(padding=1 / HEIGHT))
     assert {label for working in padded for label in working.labelled.labels} == {0}
     widths = [b[2] - b[0] for w in padded for b in w.labelled.boxes / w.scale if b[0] and b[2] < 64]
     np.testing.assert_allclose(widths, 18, rtol=1e-5)
     with pytest.raises(FactoryError):
-        read_simulated(dataset, ("Hook",), padding=0)
+        read_simulated(dataset, ("Hook",), LabelRules())
+
+
+def test_rules_choose_what_is_taught(tmp_path: Path) -> None:
+    dataset = write_labelled_dataset(tmp_path, test=0)
+    learned, _ = read_simulated(dataset, ("Bottle", "Tire"), LabelRules(min_side=12 / HEIGHT))
+    # Bottles are 8 pixels wide, tyres 16.
+    assert {label for working in learned for label in working.labelled.labels} == {1}
+    with pytest.raises(FactoryError):
+        read_simulated(dataset, ("Bottle",), LabelRules(with_shadow=("Bottle",)))
+
+
+def test_faint_objects_are_left_out() -> None:
+    objects = [_SimulatedObject(number, 0, Box(0, 0, 9, 9)) for number in (1, 2, 3)]
+    record = np.array([(b'{"1": 8.5, "2": 2.0}',)], [("visibility", "S64")])[0]
+    assert [shown.number for shown in _visible(objects, record, 3.0)] == [1]
+    assert _visible(objects, record, None) == objects
+    assert _visible(objects, np.zeros(1, [("scene", "S4")])[0], 3.0) == objects
 
 
 def test_exports_are_read_as_they_are(tmp_path: Path) -> None:
@@ -265,7 +288,7 @@ def test_exports_are_read_as_they_are(tmp_path: Path) -> None:
     out = tmp_path / "coco"
     assert main(["export", str(dataset), "--to", "coco", "--out", str(out)]) == 0
     real = read_coco(out, annotations="annotations/instances_test.json")
-    _, held_out = read_simulated(dataset, real.classes, padding=0)
+    _, held_out = read_simulated(dataset, real.classes, LabelRules())
     assert len(real.images) == len(held_out) == 2
     for image, working in zip(real.images, held_out, strict=True):
         own = working.labelled.boxes / working.scale

@@ -21,6 +21,7 @@ from simnfnd.models.detection.boxes import (
     share_inside,
     suppress_duplicates,
 )
+from simnfnd.models.detection.clutter import add_repeats
 from simnfnd.models.detection.detector import (
     Detections,
     _decode,
@@ -100,6 +101,16 @@ def test_same_draws_give_the_same_variation() -> None:
     np.testing.assert_array_equal(first[0], second[0])
     other = vary(working, (HEIGHT, WIDTH), np.random.default_rng(6), with_clutter=True)
     assert not np.array_equal(first[0], other[0])
+
+
+def test_repeats_are_fainter_and_farther_away() -> None:
+    image = np.zeros((60, 20), np.float32)
+    image[40:44, 5:12] = 1
+    repeated = add_repeats(image, np.random.default_rng(0))
+    np.testing.assert_allclose(repeated[40:44], image[40:44], atol=1e-4)
+    assert repeated[44:].max() < 0.5  # blur alone
+    farther = repeated[:36].max()
+    assert 0.02 < farther < 0.7
 
 
 def test_scaling_keeps_boxes_and_finds_the_fan() -> None:

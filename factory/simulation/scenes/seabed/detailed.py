@@ -23,7 +23,6 @@ from ...meshes.triangle_mesh import (
     circle,
     join,
     lathe,
-    prism,
     rough,
     sheet,
     sphere,
@@ -180,6 +179,24 @@ def doubled_chain(rng: Draws) -> Mesh:
         )
         points.append(np.column_stack([along, across, np.full(24, 1.3 * wire)]))
     return _linked(rng, np.concatenate(points), wire).standing()
+
+
+def loose_chain(rng: Draws) -> Mesh:
+    """A heavy chain as it falls: it runs to and fro, with ground between the runs."""
+    wire = float(rng.uniform(0.014, 0.032))
+    headings = []
+    heading = 0.0
+    for number in range(int(rng.integers(2, 5))):
+        heading = number * np.pi + rng.normal(0, 0.35)
+        steps = int(rng.integers(8, 22))
+        wander = np.interp(np.arange(steps), np.linspace(0, steps, 5), rng.normal(0, 0.35, 5))
+        headings.append(heading + wander)
+    # Bends are as wide as a chain lets them be.
+    turned = np.convolve(np.pad(np.concatenate(headings), 2, mode="edge"), np.ones(5) / 5, "valid")
+    line = np.cumsum(0.05 * np.column_stack([np.cos(turned), np.sin(turned)]), axis=0)
+    line = line - (line.min(axis=0) + line.max(axis=0)) / 2
+    level = np.full(len(line), 1.3 * wire)
+    return _linked(rng, np.column_stack([line, level]), wire).standing()
 
 
 def chain_heap(rng: Draws) -> Mesh:
@@ -354,7 +371,7 @@ def shampoo(rng: Draws) -> Mesh:
         ]
         parts.append(bars(spout, 0.006, 8))
     whole = join(parts)
-    return whole if rng.random() < 0.6 else lying(whole)
+    return whole if rng.random() < 0.8 else lying(whole)
 
 
 # --- cans and cartons -------------------------------------------------------------------------
@@ -512,6 +529,25 @@ def cross_valve(rng: Draws) -> Mesh:
     return join(parts).tinted(pick(rng, (STEEL, RUST, BRONZE))).standing()
 
 
+def crossed_bars(rng: Draws) -> Mesh:
+    """The handle of a valve: two or three thin bars that cross over a short stem."""
+    reach = rng.uniform(0.1, 0.19)
+    thick = rng.uniform(0.004, 0.009)
+    count = int(rng.integers(2, 4))
+    level = rng.uniform(0.03, 0.1)
+    first = rng.uniform(0, np.pi)
+    ends = []
+    for number in range(count):
+        angle = first + (number + rng.normal(0, 0.15)) * np.pi / count
+        along = np.array([np.cos(angle), np.sin(angle), 0.0]) * reach * rng.uniform(0.85, 1.15)
+        droop = np.array([0, 0, level * rng.uniform(0, 0.8)])
+        middle = np.array([0, 0, level])
+        ends += [(middle, middle + along - droop), (middle, middle - along - droop)]
+    stem = np.array([[0.9, 0], [1, 0.3], [0.6, 0.5], [0.6, 1.1], [0, 1.15]])
+    hub = lathe(stem * [rng.uniform(0.02, 0.04), level], 16)
+    return join([bars(ends, thick, 7), hub]).tinted(pick(rng, (STEEL, RUST, BRONZE))).standing()
+
+
 def ball_valve(rng: Draws) -> Mesh:
     """A ball valve between flanges, with its lever."""
     size = rng.uniform(0.05, 0.11)
@@ -527,29 +563,17 @@ def ball_valve(rng: Draws) -> Mesh:
     return whole.turned("x", rng.uniform(-0.6, 0.6)).standing()
 
 
-def elbow(rng: Draws) -> Mesh:
-    """A bent pipe end with a flange at either side and bolts, beside valves one of their kind."""
-    size = rng.uniform(0.04, 0.09)
-    angle = np.linspace(0, np.pi / 2, 10)
-    path = np.column_stack([2.2 * np.cos(angle), 2.2 * np.sin(angle), np.zeros(10)]) * size
-    parts = [tube(path, size, 16)]
-    for at, turn in ((path[0], (np.pi / 2, 0.0)), (path[-1], (0.0, np.pi / 2))):
-        plate = prism(circle(20)[:, :2] * 1.7 * size, 0.35 * size)
-        parts.append(plate.turned("xy", *turn).moved(at))
-    return join(parts).tinted(pick(rng, _METALS)).standing()
-
-
 BUILDERS: dict[str, tuple[Builder, ...]] = {
     "Bottle": (lying_bottle, lined_bottle, lined_bottle, flask),
     "Standing-bottle": (upright_bottle, upright_bottle, upright_jar),
-    "Shampoo-bottle": (shampoo, things.shampoo_bottle),
+    "Shampoo-bottle": (shampoo, shampoo, shampoo, things.shampoo_bottle),
     "Can": (tin, tin, drink_can, things.can),
     "Drink-carton": (gable_carton, brick_carton),
     "Hook": (crane_hook, crane_hook, grapnel, snap_hook, things.hook),
     "Propeller": (screw, screw, screw, outboard),
     "Tire": (car_tyre, car_tyre, car_tyre, car_tyre, inner_tube),
-    "Valve": (hand_wheel, cross_valve, cross_valve, ball_valve, elbow, things.valve),
-    "Chain": (laid_chain, laid_chain, doubled_chain, chain_heap),
+    "Valve": (hand_wheel, cross_valve, crossed_bars, crossed_bars, ball_valve, things.valve),
+    "Chain": (*[loose_chain] * 5, laid_chain, doubled_chain, chain_heap),
 }
 """Of each class; one that is listed twice is drawn twice as often."""
 
