@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-# Two test processes share two cores: threads of libraries would only wait for each other.  Before
+# Test processes share two cores: threads of libraries would only wait for each other.  Before
 # anything imports numpy or torch; processes that tests start take it over.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
@@ -28,6 +30,34 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # change must not fail on an example that it did not cause; at home the search goes on.
 settings.register_profile("simnfnd", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("simnfnd")
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Before several processes begin: each of them would compile the same loops."""
+    if getattr(session.config.option, "numprocesses", None):
+        compile_loops()
+
+
+def compile_loops() -> None:
+    """Compile what has no compiled form on disk, in two processes: a minute of CPU in a clone."""
+    from simnfnd.factory.simulation.pairs.compilation import FIELD, IMAGE_LOOPS, LOOPS, SCENE_LOOPS
+
+    root = Path(__file__).resolve().parents[1]
+    paths = [root / f"{name.removeprefix('simnfnd.').replace('.', '/')}.py" for name in LOOPS]
+    if all(
+        any(
+            compiled.stat().st_mtime > path.stat().st_mtime
+            for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.nbi")
+        )
+        for path in paths
+    ):
+        return
+    processes = [
+        subprocess.Popen([sys.executable, "-c", "\n".join(f"import {name}" for name in names)])
+        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (FIELD,))
+    ]
+    for process in processes:
+        process.wait()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -48,3 +78,12 @@ def cache_of_its_own() -> Iterator[None]:
         os.environ["SIMNFND_CACHE"] = folder
         yield
         del os.environ["SIMNFND_CACHE"]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compositions_are_remembered() -> Iterator[None]:
+    from tests import remembered_configurations
+
+    with pytest.MonkeyPatch.context() as patch:
+        remembered_configurations.remember(patch)
+        yield

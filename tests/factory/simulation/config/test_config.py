@@ -20,6 +20,7 @@ from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.config.root import from_mapping, plain
 from simnfnd.factory.simulation.noise.registry import NoiseSettings
 from simnfnd.factory.simulation.sonar.settings import SonarSettings
+from tests import remembered_configurations
 from tests.project_files import ROOT
 
 CONF = ROOT / "conf"
@@ -34,6 +35,13 @@ def config(*overrides: str):
     values = composed(*overrides)
     values.pop("experiment", None)
     return from_mapping(values)
+
+
+@pytest.mark.parametrize("words", [(), ("experiment=any_sonar", "sonar=didson_hf", "seed=3")])
+def test_what_tests_remember_is_what_hydra_composes(words, monkeypatch):
+    remembered = [composed(*words) for _ in range(2)]
+    remembered_configurations.forget(monkeypatch)
+    assert remembered == [composed(*words)] * 2
 
 
 def names(group: str) -> list[str]:

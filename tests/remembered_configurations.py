@@ -1,0 +1,72 @@
+"""What Hydra has read and merged is kept: some 25 files at each of a thousand compositions.
+
+A composition takes 0.1 s of CPU instead of 0.4 s.  Only files of `simnfnd.conf` and Hydra's own,
+which do not change, are kept; where a test adds folders or packages to search, all is read anew.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.config_repository import ConfigRepository
+from hydra._internal.core_plugins.importlib_resources_config_source import (
+    ImportlibResourcesConfigSource,
+)
+from hydra.core.object_type import ObjectType
+
+_UNCHANGING = ("simnfnd.conf", "hydra.conf")
+_files: dict[tuple[str, str], Any] = {}
+_compositions: dict[str, Any] = {}
+_load_config = ConfigRepository.load_config
+_compose = ConfigLoaderImpl._compose_config_from_defaults_list
+
+
+class _Copies:
+    """A repository whose answers may be changed, as Hydra does when it merges them."""
+
+    def __init__(self, repository: Any) -> None:
+        self._repository = repository
+
+    def load_config(self, config_path: str) -> Any:
+        return copy.deepcopy(self._repository.load_config(config_path))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._repository, name)
+
+
+def _is_unchanging(source: Any) -> bool:
+    is_module = isinstance(source, ImportlibResourcesConfigSource)
+    return source.scheme() == "structured" or (is_module and source.path in _UNCHANGING)
+
+
+def _load_remembered(self: ConfigRepository, config_path: str) -> Any:
+    source = self._find_object_source(config_path, ObjectType.CONFIG)
+    if source is None or source.scheme() == "structured" or not _is_unchanging(source):
+        return _load_config(self, config_path)
+    key = (source.path, config_path)
+    if key not in _files:
+        _files[key] = _load_config(self, config_path)
+    return copy.copy(_files[key])
+
+
+def _compose_remembered(self: ConfigLoaderImpl, defaults: Any, repo: Any) -> Any:
+    if not all(_is_unchanging(source) for source in repo.get_sources()):
+        return _compose(self, defaults, _Copies(repo))  # type: ignore[arg-type]
+    key = str(defaults)
+    if key not in _compositions:
+        _compositions[key] = _compose(self, defaults, _Copies(repo))  # type: ignore[arg-type]
+    return copy.deepcopy(_compositions[key])
+
+
+def remember(patch: Any) -> None:
+    """From now on, until the patch is undone."""
+    patch.setattr(ConfigRepository, "load_config", _load_remembered)
+    patch.setattr(ConfigLoaderImpl, "_compose_config_from_defaults_list", _compose_remembered)
+
+
+def forget(patch: Any) -> None:
+    """Have Hydra read all files, until the patch is undone."""
+    patch.setattr(ConfigRepository, "load_config", _load_config)
+    patch.setattr(ConfigLoaderImpl, "_compose_config_from_defaults_list", _compose)
