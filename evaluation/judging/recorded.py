@@ -49,7 +49,7 @@ Measured on the edges of the sector in its images, and drawn in by the one or tw
 which they fade to black; B shows x squeezed to 0.8 of y.
 """
 # The fit of an image's black border to a fan: intersection over union below which it is none.
-_SAME = 0.9
+_LEAST_OVERLAP = 0.9
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,10 @@ class RecordedImage:
 
 @lru_cache(maxsize=160)
 def frame_of(path: Path, number: int) -> tuple[Grey, FanGeometry | None]:
-    """See `frame_image`; frames are asked for again and again, and cost more to decode."""
+    """The image and geometry of a frame, as `frame_image` gives them, kept for further calls.
+
+    Every method reads each frame again, and decoding costs more than keeping.
+    """
     return frame_image(path, number)
 
 
@@ -122,9 +125,9 @@ def open_input(
 
 
 def open_real(location: str | Path) -> tuple[list[RecordedImage], tuple[str, ...]]:
-    """The same shots, each with its geometry: given, or found in the image.
+    """All shots at a path, each with its geometry: stated, or found in the image; and notes.
 
-    Raises FactoryError, also where nothing says where range and bearing are.
+    Raises FactoryError as `open_input` does, and for an image in which no fan is found.
     """
     stretches, notes = open_input(location)
     shots_with_fans: list[RecordedImage] = []
@@ -183,7 +186,7 @@ def mdd_geometry(image: Floats) -> str | None:
         sector = geometry.sector_mask(*MDD_SHAPE)
         agreement[name] = float((across & sector).sum() / max((across | sector).sum(), 1))
     best = max(agreement, key=lambda name: agreement[name])
-    return best if agreement[best] >= _SAME else None
+    return best if agreement[best] >= _LEAST_OVERLAP else None
 
 
 def outline(image: Floats) -> Bools:
@@ -236,6 +239,7 @@ def _line(row: Mapping[str, str | None]) -> tuple[str, FanGeometry]:
 
 
 def _below(root: Path) -> list[Stretch]:
+    """A stretch for each folder of images and for each recording below a path."""
     if root.is_file():
         return [_recording(root, root.name)]
     stretches = []

@@ -43,8 +43,8 @@ def main(words: Sequence[str]) -> int:
     )
     parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")
     parser.add_argument("--row-b", help="row of B (default: as A)")
-    chosen = parser.parse_args(list(words))
-    folders = [Path(name) for name in chosen.folders]
+    options = parser.parse_args(list(words))
+    folders = [Path(name) for name in options.folders]
     if all(is_real_report(folder) for folder in folders):
         print(tabulate(folders))
         return 0
@@ -53,7 +53,7 @@ def main(words: Sequence[str]) -> int:
             f"evaluate compare: {len(folders)} folders; give two reports of `simnfnd evaluate`, or "
             "reports of `simnfnd evaluate real` alone"
         )
-    print(text_of(compare(folders[0], folders[1], chosen.row_a, chosen.row_b)))
+    print(text_of(compare(folders[0], folders[1], options.row_a, options.row_b)))
     return 0
 
 

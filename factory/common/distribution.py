@@ -36,7 +36,7 @@ class Distribution:
     high: float = math.inf
 
     def draw(self, rng: np.random.Generator) -> float:
-        """One value."""
+        """Draw one value."""
         if self.kind == "number":
             value = self.values[0]
         elif self.kind == "uniform":
@@ -66,7 +66,7 @@ class Distribution:
         return replace(self, values=(*map(change, values), *spread))
 
     def plain(self) -> float | dict[str, list[float]]:
-        """As it is written in a config."""
+        """The parameter as a config writes it."""
         return self.values[0] if self.kind == "number" else {self.kind: list(self.values)}
 
 
@@ -164,13 +164,13 @@ NonNegativeDecibels = Annotated[Distribution, within(0.0, 300.0, "dB"), as_writt
 DecibelsPerMetre = Annotated[Distribution, within(-100.0, 100.0, "dB/m"), as_written]
 Share = Annotated[Distribution, within(0.0, 1.0), as_written]
 Looks = Annotated[Distribution, within(1e-6, 64.0), as_written]
-"""Each takes a field of its own in memory."""
+"""Number of looks; each takes a field of its own in memory."""
 CellSize = Annotated[Distribution, within(1e-4, 10.0, "m", or_zero=True), as_written]
 Altitude = Annotated[Distribution, within(0.01, 1000.0, "m"), as_written]
 Strength = Annotated[Distribution, within(0.0, 1000.0), as_written]
-"""Of points, as a fraction of full scale."""
+"""Strength of points as a fraction of full scale."""
 Density = Annotated[Distribution, within(0.0, 10.0), as_written]
-"""Points as a fraction of the scene's."""
+"""Number of points as a fraction of the scene's points."""
 Count = Annotated[Distribution, within(0.0, 1000.0), as_written]
 """How many of a thing an image shows; each costs time."""
 

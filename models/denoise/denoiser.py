@@ -34,7 +34,7 @@ _SEVERAL = 1.5
 """From so many frames on average on, grain is the scene's: the image is not halved first."""
 _LIT = 0.1
 _LIT_SHARE = 0.01
-"""Grey value, and part of what is around a fan with more: a page, or panels of a screen."""
+"""Around a fan, the grey value of lit pixels and their share from which on it is a lit page."""
 _AROUND_PX = 9  # side of the mean that grain is measured against
 _RAMP = 0.05  # of the correlation: from nothing to the whole change of the smaller image
 _LEAST_LIT = 2000
@@ -151,7 +151,7 @@ def by_scales(grey: Float32s, maps: Maps, denoise: Work, widest: float) -> Float
 
 
 def correlation(grey: Float32s) -> float:
-    """Of the grain of pixels that are neighbours along rows or columns, the lesser of both.
+    """Correlation of the grain of neighbouring pixels, the lesser of rows and columns.
 
     0 where too few pixels are lit to tell, or where there is no grain.
     """
@@ -198,6 +198,6 @@ def _starts(size: int, tile: int, overlap: int) -> list[int]:
 
 
 def _ramp(size: int, overlap: int) -> Float64s:
-    """Rises from the edge over `overlap` pixels, never quite 0."""
+    """(size,) weights that rise from both edges over `overlap` pixels, and are never quite 0."""
     edge = np.minimum(np.arange(size), np.arange(size)[::-1]) + 1.0
     return np.minimum(edge / (overlap + 1), 1.0)

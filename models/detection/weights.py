@@ -30,9 +30,9 @@ class TrainedDetector:
 
     @property
     def margin(self) -> float:
-        """By which share of the longer side of an image boxes grow on every side when found.
+        """How far boxes grow on every side, as a share of the longer side of the image.
 
-        Negative where it learned wider boxes than people draw.
+        Negative where the detector learned wider boxes than people draw.
         """
         return float(self.training.get("margin", 0.0))
 

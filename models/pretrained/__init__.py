@@ -12,7 +12,7 @@ from .. import WEIGHTS_NAME
 DEFAULT = "simnfnd"
 """Name of the weights that `simnfnd denoise` takes when none are given."""
 POINTS = "simnfnd-paper"
-"""Those for the paper's noise: shards of acoustics=pointwise, and where it is asked for."""
+"""Name of the weights for the paper's noise, which shards of acoustics=pointwise get."""
 
 
 def shipped() -> dict[str, Path]:
@@ -21,7 +21,7 @@ def shipped() -> dict[str, Path]:
 
 
 def find_weights(name_or_path: str | Path | None) -> Path:
-    """The weights that are meant: a file, a training's folder, a name, or None: the default.
+    """The file of weights, given as a file, a training's folder, a name, or None: the default.
 
     `OWNER/NAME`, where there is no such file, is a repository of the Hugging Face Hub that holds a
     `weights.safetensors`.

@@ -25,15 +25,12 @@ import psutil
 
 from . import ERROR, Backend, Pool, Task, WorkerDied, answered, start_worker_process, template
 
-# For a process to be there, for its task to begin in a new one, which imports what it needs, and
-# in one that has run others.
-_PROCESS_S = 60.0
-_FIRST_S = 300.0
-_BEGIN_S = 30.0
-# Time for a killed process to exit.
-_END_S = 5.0
-_LOOK_S = 0.5
-_STOP_S = 10.0
+_PROCESS_S = 60.0  # most time for a process to start
+_FIRST_S = 300.0  # most time for its first task to begin: the process imports what it needs
+_BEGIN_S = 30.0  # most time for a further task to begin
+_END_S = 5.0  # time for a killed process to exit
+_LOOK_S = 0.5  # time between two looks for processes that are late or dead
+_STOP_S = 10.0  # most time for all processes to end
 _NEWS = "news"
 
 
@@ -65,10 +62,10 @@ class LocalBackend(Backend):
         return any(worker.takes(kind) for worker in self._workers)
 
     def submit(self, task: Task) -> Future[Any]:
-        """Give it to a free worker."""
-        fit = (worker for worker in self._workers if worker.takes(task.kind))
-        worker = min(fit, key=lambda worker: worker.pool.kinds[0] != task.kind)
-        # To the end of the line, so that all get their share of the work.
+        """Give the task to a free worker, best to one whose first kind it is."""
+        free_workers = (worker for worker in self._workers if worker.takes(task.kind))
+        worker = min(free_workers, key=lambda worker: worker.pool.kinds[0] != task.kind)
+        # The worker goes to the end of the line, so that all get their share of the work.
         self._workers.remove(worker)
         self._workers.append(worker)
         return worker.begin(task)
@@ -76,13 +73,12 @@ class LocalBackend(Backend):
     def close(self) -> None:
         """Kill the workers now."""
         self._stopped.set()
-        left = self._workers
         deadline = time.monotonic() + _STOP_S
-        # One may have been starting its process at that very moment.
-        while (
-            left := [worker for worker in left if not worker.closed()]
-        ) and time.monotonic() < deadline:
+        # A worker that is starting its process at this moment cannot be closed yet.
+        open_workers = [worker for worker in self._workers if not worker.close()]
+        while open_workers and time.monotonic() < deadline:
             time.sleep(0.01)
+            open_workers = [worker for worker in open_workers if not worker.close()]
         self._block.close()
 
 
@@ -113,7 +109,7 @@ class _Worker:
         return kind in self.pool.kinds and (self._future is None or self._future.done())
 
     def begin(self, task: Task) -> Future[Any]:
-        """What comes of the task."""
+        """Begin the task in a thread of its own; returns its future result."""
         self._future = Future()
         arguments = (self._future, task.request(), task)
         threading.Thread(target=self._talk, args=arguments, daemon=True).start()
@@ -134,8 +130,14 @@ class _Worker:
                 self._deadline = math.inf
 
     def _answer(self, request: bytes, task: Task) -> tuple[str, Any]:
-        """The future result of the task; TimeoutError or WorkerDied when its process ended."""
-        if self._process and (self._answered == self.pool.tasks_per_worker > 0 or not self._runs()):
+        """Kind and value of the answer to a task.
+
+        Raises TimeoutError when the task was silent for too long, and WorkerDied when its process
+        ended.
+        """
+        limit = self.pool.tasks_per_worker  # 0: no limit
+        is_used_up = limit > 0 and self._answered == limit
+        if self._process and (is_used_up or not self._runs()):
             self._end()
         if self._process is None:
             self._start()
@@ -189,7 +191,10 @@ class _Worker:
         return kind, value
 
     def _end(self, patience_s: float = 0) -> int | None:
-        """Kill the process unless it ends before; its exit code, None when even that did not do."""
+        """Kill the process if it does not end within the time; returns its exit code.
+
+        None: it did not end even then.
+        """
         self._deadline = math.inf
         self._connection.close()
         for wait_s in (patience_s, _END_S):
@@ -207,7 +212,7 @@ class _Worker:
         if time.monotonic() > self._deadline:
             _kill(process) if process else template.kill()
 
-    def closed(self) -> bool:
+    def close(self) -> bool:
         """Kill the process and start no other; returns whether it has ended."""
         self._stopped = True
         _kill(self._process)
@@ -225,7 +230,7 @@ def _kill(process: psutil.Process | None) -> None:
 
 
 def _work(connection: Connection, environment: dict[str, str]) -> None:
-    """What the process does until its connection is closed, in the parent's environment of now."""
+    """Answer tasks until the connection is closed, in the environment that the parent has now."""
     os.environ.clear()
     os.environ.update(environment)
     start_worker_process()

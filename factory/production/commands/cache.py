@@ -14,7 +14,7 @@ from ..cli.compose import compose_config
 
 
 def main(words: list[str]) -> None:
-    """Do what `words` ask for."""
+    """Count, pack or delete renders, as `words` say."""
     parser = Parser(
         prog="simnfnd cache",
         epilog="KEY=VALUE words are those of `simnfnd make`; cache.dir is the one that matters to "
@@ -23,8 +23,8 @@ def main(words: list[str]) -> None:
     parser.add_argument(
         "action",
         choices=("stats", "pack", "clear"),
-        help="how many there are and how large; the renders of a configuration in one file, for a "
-        "machine without Blender; remove all",
+        help="stats: count the renders; pack: write the renders of a configuration to one file, "
+        "for a machine without Blender; clear: delete all renders",
     )
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, help="pack: file to write, for example views.pack")

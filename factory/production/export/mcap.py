@@ -141,7 +141,7 @@ def _messages(
     config: Mapping[str, Any],
     types: Mapping[str, Any],
 ) -> Iterator[tuple[str, str, Any]]:
-    """Topic, type and message of all that is said of a sample."""
+    """Topic, type and content of each message of a sample."""
     seconds = int(time_s)
     stamp = types["builtin_interfaces/msg/Time"](
         sec=seconds, nanosec=min(round((time_s - seconds) * 1e9), 999_999_999)
@@ -184,7 +184,7 @@ def ping_facts(config: Mapping[str, Any], sonar: SonarDevice) -> PingFacts:
 
 
 def _profiles(topic: str) -> tuple[Any, ...]:
-    """How a topic was published: one that is static is kept for whoever comes later."""
+    """The quality of service of a topic: a static one is kept for subscribers that come later."""
     from rosbags.interfaces import (
         Qos,
         QosDurability,
@@ -196,7 +196,7 @@ def _profiles(topic: str) -> tuple[Any, ...]:
 
     if topic != _STATIC:
         return ()
-    for_ever = QosTime(9223372036, 854775807)
+    for_ever = QosTime(9223372036, 854775807)  # seconds and nanoseconds of ROS's infinite duration
     profile = Qos(
         history=QosHistory.KEEP_LAST,
         depth=1,

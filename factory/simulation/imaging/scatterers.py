@@ -31,8 +31,8 @@ from .moving import MovingScatterers, moving_scatterers
 from .settings import CoherentSettings
 
 _BEAM_STEPS = 16_384
-# Of one part of the table of cells: what the second cache of a core holds, in so few parts that
-# sorting into them is fast.
+# Slots of one part of the table of cells: a part fits the second cache of a core, and the parts are
+# so few that sorting into them is fast.
 _SLOTS = 131_072
 
 
@@ -109,13 +109,17 @@ class Scatterers:
 
 
 def shares(names: UInt32s, places: UInt32s) -> Float32s:
-    """(N,) float32: see `world_cells`; the arguments are what `kernels.cells` gives."""
+    """(N,) float32 amplitude factors of scatterers, as `Scatterers.world_cells` describes them.
+
+    names, places: (N,) uint32 each, as `kernels.cells` gives them.
+    """
     from . import kernels  # loads numba
 
     shares_out = np.empty(len(names), np.float32)
     work = np.empty((len(names), 2), np.uint32)
     slots = 1 << (2 + len(names).bit_length())
     parts = max(slots // _SLOTS, 1)
+    # A part that overflows its table makes the loop give up; fewer parts have larger tables.
     while not kernels.count_cells(
         names, places, parts, np.empty((slots // parts, 2), np.uint32), work, shares_out
     ):
@@ -163,10 +167,19 @@ def scatterers(
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
     loss = (10 ** (-2 * absorption * range_m / 10)).astype(np.float32)
     power *= loss[:, None]
-    of_each = bins[:count], powers[:count], pixels[:count], parts[:count], row_ends
-    world_from_camera = np.asarray(pose, np.float64)
     return Scatterers(
-        *of_each, power, owner, in_beam, loss, frame, world_from_camera, ghosts=ghosts
+        bins=bins[:count],
+        powers=powers[:count],
+        pixels=pixels[:count],
+        parts=parts[:count],
+        row_ends=row_ends,
+        power=power,
+        owner=owner,
+        in_beam=in_beam,
+        loss=loss,
+        frame=frame,
+        world_from_camera=np.asarray(pose, np.float64),
+        ghosts=ghosts,
     )
 
 

@@ -34,16 +34,16 @@ class Mesh:
     def moved(
         self, offset: ArrayLike = (0.0, 0.0, 0.0), scale: float | Sequence[float] = 1.0
     ) -> Mesh:
-        """Scaled, then shifted by `offset` metres."""
+        """The mesh scaled, then shifted by `offset` metres."""
         points = self.vertices * np.asarray(scale, dtype=np.float32)
         return replace(self, vertices=points + np.asarray(offset, dtype=np.float32))
 
     def turned(self, axes: str, *angles_rad: float) -> Mesh:
-        """Turned about the origin; see `rotation`."""
+        """The mesh turned about the origin; see `rotation`."""
         return self.rotated(rotation(axes, *angles_rad))
 
     def rotated(self, matrix: npt.NDArray[np.floating]) -> Mesh:
-        """Turned by a (3, 3) matrix."""
+        """The mesh turned by a (3, 3) matrix."""
         turn = np.asarray(matrix, dtype=np.float32)
         x, y, z = self.vertices.T
         rows = [turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z for k in range(3)]
@@ -230,12 +230,13 @@ def sphere(subdivisions: int) -> Mesh:
     golden = (1 + np.sqrt(5)) / 2
     corners = np.array([(0, s, t * golden) for s in (-1, 1) for t in (-1, 1)])
     points = np.concatenate([corners, corners[:, [1, 2, 0]], corners[:, [2, 0, 1]]])
-    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    sides = np.abs(apart - apart[apart > 0].min()) < 1e-9
+    # Faces are the triples of corners that are all as close to each other as corners can be.
+    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    is_side = np.abs(distance - distance[distance > 0].min()) < 1e-9
     triples = itertools.combinations(range(len(points)), 3)
-    face_corners = [list(t) for t in triples if all(sides[t[k], t[k - 1]] for k in range(3))]
-    outward = (t if np.linalg.det(points[t]) > 0 else t[::-1] for t in face_corners)
-    faces = np.array(list(outward), np.int32)
+    face_corners = [list(t) for t in triples if all(is_side[t[k], t[k - 1]] for k in range(3))]
+    outward = [t if np.linalg.det(points[t]) > 0 else t[::-1] for t in face_corners]
+    faces = np.array(outward, np.int32)
     for _ in range(subdivisions):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         unique, which = np.unique(edges, axis=0, return_inverse=True)

@@ -58,20 +58,20 @@ class TvgErrorSettings(EffectSettings):
 
 
 def beam_gain_db(ping: Ping, rng: Rng, *, sigma_db: float, dead: float, dead_db: float) -> GainsDb:
-    """(beams,) dB."""
+    """Draw the gain of each beam, (beams,) dB."""
     gain_db = sigma_db * rng.standard_normal(ping.sonar.beams)
     gain_db[rng.permutation(ping.sonar.beams)[: round(dead)]] = dead_db
     return gain_db
 
 
 def sector_edges_db(ping: Ping, rng: Rng, *, level_db: float) -> GainsDb:
-    """(beams,) dB, none straight ahead."""
+    """Gain at the bearing of each beam, (beams,) dB; 0 straight ahead."""
     side = ping.sonar.beam_centres_rad() / (np.deg2rad(ping.sonar.hfov_deg) / 2)
     return np.asarray(-level_db * side**2)
 
 
 def tvg_error_db(ping: Ping, rng: Rng, *, db_per_decade: float, db_per_m: float) -> GainsDb:
-    """(range_bins, 1) dB."""
+    """Gain at each range, (range_bins, 1) dB; 0 in the middle of the window."""
     range_m = np.maximum(ping.range_m.astype(np.float64), ping.bin_m)[:, None]
     middle_m = (ping.window.range_min_m + ping.window.range_max_m) / 2
     return np.asarray(
@@ -79,7 +79,7 @@ def tvg_error_db(ping: Ping, rng: Rng, *, db_per_decade: float, db_per_m: float)
     )
 
 
-def _of_gain(
+def _gain_effect(
     settings: type[EffectSettings], gain_db: Callable[..., GainsDb], scope: Scope = "sample"
 ) -> Effect:
     """The effect of a gain in dB, `(ping, rng, **parameters)`, on fields and on expectations."""
@@ -94,6 +94,6 @@ def _of_gain(
     return Effect(settings, apply, "image", "gains", scope, systematic=expect)
 
 
-BEAM_GAIN = _of_gain(BeamGainSettings, beam_gain_db, "recording")
-SECTOR_EDGES = _of_gain(SectorEdgesSettings, sector_edges_db)
-TVG_ERROR = _of_gain(TvgErrorSettings, tvg_error_db)
+BEAM_GAIN = _gain_effect(BeamGainSettings, beam_gain_db, "recording")
+SECTOR_EDGES = _gain_effect(SectorEdgesSettings, sector_edges_db)
+TVG_ERROR = _gain_effect(TvgErrorSettings, tvg_error_db)

@@ -174,7 +174,7 @@ class MeshWorld:
 
 
 class MeshReader:
-    """Takes frames of one world; its name and the settings decide them."""
+    """Takes frames of one world, as the name of a frame and the settings decide."""
 
     def __init__(self, settings: MeshSettings) -> None:
         """Nothing is read before it is needed."""
@@ -328,7 +328,7 @@ class MeshReader:
         return self._transect(target, rng, height_m, heading_rad)
 
     def _draw_target(self, rng: np.random.Generator) -> PathTarget:
-        """One of the parts with a class; all of the world where none has."""
+        """Choose one of the parts with a class, or the whole world where none has a class."""
         objects = self._world.objects
         classified = np.flatnonzero(objects.labels)
         points = objects.mesh.vertices
@@ -343,7 +343,7 @@ class MeshReader:
     def _orbit(
         self, target: PathTarget, rng: np.random.Generator, height_m: float, heading_rad: float
     ) -> PosesAlong:
-        """Around the target, which stays in the middle of the image."""
+        """A circle around the target, which stays in the middle of the image."""
         distance_m = rng.uniform(*self._settings.distance_m)
         side = rng.choice([-1, 1])
         distance_m += target.reach_m * target.is_part
@@ -363,7 +363,7 @@ class MeshReader:
     def _transect(
         self, target: PathTarget, rng: np.random.Generator, height_m: float, heading_rad: float
     ) -> PosesAlong:
-        """Straight over the target, looking ahead and down."""
+        """A straight line over the target, looking ahead and down."""
         aside_m = 2 * rng.uniform(-0.25, 0.25) * target.reach_m
         ahead = _level(heading_rad)
         aside = aside_m * _level(heading_rad + np.pi / 2)
@@ -414,13 +414,13 @@ class MeshReader:
         return np.array([*place[:2], clear])
 
     def _ground_m(self, place: Float64s) -> float | None:
-        """Height of the highest thing at a place."""
+        """Height of the highest surface at a place, metres; None where there is none."""
         top_m = float(self._world.objects.mesh.vertices[:, 2].max()) + 1
         below = self._altitude_m(np.array([*place[:2], top_m]))
         return None if below is None else top_m - below
 
     def _altitude_m(self, eye: Float64s) -> float | None:
-        """Metres to the first thing right under the eye."""
+        """Metres from the eye down to the first surface; None where there is none."""
         optics = centred(500, _GROUND_PX, _GROUND_PX)
         down = pose(eye, 0, 90, 0)
         nearest = ZBuffer(down, optics, self._world.objects).inverse[(_GROUND_PX // 2,) * 2]

@@ -21,6 +21,7 @@ Movement = Mapping[str, float]
 _SUN_M = 400.0  # how far away the camera in the sun is
 _SHADE_M = 14.0  # side of the ground that it sees
 _SHADE_CELLS = 512  # pixels on a side of its image
+_FLSEA_WIDTH_PX = 968
 _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the water
 
 
@@ -45,8 +46,8 @@ def take(
     if movement is not None:
         viewpoint = moved(viewpoint, movement)
     azimuths, elevations = field_of_view(viewpoint, optics)
-    # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
-    fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
+    # The mesh is as fine as the pixels: for FLSea's width and 45 degrees, 280 cells across.
+    fine = min(max(optics.width / optics.across / _FLSEA_WIDTH_PX, 0.35), 1.5)
     shape = (int(370 * fine), int(280 * fine * optics.across))
     ground = world.terrain.seen_from(viewpoint.eye, azimuths, elevations, shape)
     z_buffer = ZBuffer(viewpoint, optics, world.objects, ground.points)
@@ -157,35 +158,61 @@ def measured(rng: Draws, depth_m: Float32s, range_m: Float32s, clear_m: float) -
     depth_m, range_m: (H, W), inf where there is only water.  clear_m: how far the water lets
     matching work; the border is ragged.  About 8 to 38 % are lost, small shares more often.
     """
-    from .kernels import STEPS
-
-    scale = depth_m.shape[1] / 968
+    scale = depth_m.shape[1] / _FLSEA_WIDTH_PX
     near_m = np.minimum(depth_m[::2, ::2], np.float32(1e4))
     range_m = range_m[::2, ::2]
-    rows, columns = (
-        (rng.integers(TILE) + np.arange(size) / scale).astype(np.int64) % (TILE // 2)
-        for size in near_m.shape
-    )
-    words = tiles().texture[rows[:, None], columns]
-    step = np.float32(1 / STEPS)
-    broad, grain = ((words << bits >> 24) * step for bits in (24, 16))  # its first two channels
-    # Cracks along depth edges, on the far side, of a width that varies.
-    noise = broad + grain
+    broad, grain = _texture_noise(rng, near_m.shape, scale)
     ragged = np.minimum(np.float32(0.06) * broad + np.float32(0.03) * grain, np.float32(0.2))
     keep = range_m < clear_m * (1 + ragged)
-    for reach, level in ((max(round(2 * scale), 1), 0.6), (1, -0.7)):
-        behind = near_m > np.float32(1.12) * least_around(near_m, reach)
-        keep &= ~(behind & (noise > np.float32(level)))
-    missing = 0.08 + 0.3 * rng.random() ** 2 - float(1 - keep.mean())
-    if missing > 0 and keep.any():
-        # Matching fails first far away, then near the image's border; a few blobs are anywhere.
-        down, across = (np.linspace(-1, 1, size, dtype=np.float32) ** 8 for size in keep.shape)
-        doubt = np.float32(0.3) * broad + np.float32(0.1) * grain
-        doubt += np.float32(0.9) * np.maximum(across, down[:, None])
-        doubt += np.float32(2.4 / clear_m) * np.minimum(range_m, np.float32(clear_m))
-        keep &= doubt <= np.quantile(doubt[keep], 1 - min(missing / keep.mean(), 1))
+    keep &= ~_behind_edges(near_m, broad + grain, scale)
+    missing_share = 0.08 + 0.3 * rng.random() ** 2 - float(1 - keep.mean())
+    if missing_share > 0 and keep.any():
+        doubt = _matching_doubt(range_m, broad, grain, clear_m)
+        keep &= doubt <= np.quantile(doubt[keep], 1 - min(missing_share / keep.mean(), 1))
     whole = keep.repeat(2, axis=0).repeat(2, axis=1)[: depth_m.shape[0], : depth_m.shape[1]]
     return np.asarray(whole & (depth_m < _FURTHEST_M))
+
+
+def _texture_noise(rng: Draws, shape: tuple[int, ...], scale: float) -> tuple[Float32s, Float32s]:
+    """Broad and grainy noise, (h, w) each, of standard deviation 1: the tile at a random place.
+
+    scale: pixels of the image for each pixel of the tile.
+    """
+    from .kernels import STEPS
+
+    rows, columns = (
+        (rng.integers(TILE) + np.arange(size) / scale).astype(np.int64) % (TILE // 2)
+        for size in shape
+    )
+    words = tiles().texture[rows[:, None], columns]
+    # A word holds four signed channels of 8 bits; shifting to the left and back extracts one.
+    step = np.float32(1 / STEPS)
+    broad = (words << 24 >> 24) * step
+    grain = (words << 16 >> 24) * step
+    return broad, grain
+
+
+def _behind_edges(near_m: Float32s, noise: Float32s, scale: float) -> Bools:
+    """(h, w) bool: cracks along depth edges, on the far side, of a width that varies."""
+    is_crack = np.zeros(near_m.shape, bool)
+    for reach, level in ((max(round(2 * scale), 1), 0.6), (1, -0.7)):
+        is_behind = near_m > np.float32(1.12) * least_around(near_m, reach)
+        is_crack |= is_behind & (noise > np.float32(level))
+    return is_crack
+
+
+def _matching_doubt(
+    range_m: Float32s, broad: Float32s, grain: Float32s, clear_m: float
+) -> Float32s:
+    """(h, w) how doubtful stereo matching is; it fails first where this is largest.
+
+    That is far away, then near the image's border; a few blobs are anywhere.
+    """
+    down, across = (np.linspace(-1, 1, size, dtype=np.float32) ** 8 for size in range_m.shape)
+    doubt = np.float32(0.3) * broad + np.float32(0.1) * grain
+    doubt += np.float32(0.9) * np.maximum(across, down[:, None])
+    doubt += np.float32(2.4 / clear_m) * np.minimum(range_m, np.float32(clear_m))
+    return doubt
 
 
 def least_around(values: Float32s, reach: int) -> Float32s:
