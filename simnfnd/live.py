@@ -69,8 +69,7 @@ class Denoiser:
         missing GPU, and where the extra `denoise` is not installed.
         """
         from .api import _checked_geometry, _loaded_denoiser
-        from .models.denoise.frame_shots import FrameShots
-        from .models.denoise.images import Denoising
+        from .models.denoise.images import Denoising, FrameShots
 
         network = _loaded_denoiser(weights, device, strength, frames)
         self._geometry = _checked_geometry(geometry, opening_deg, None, stacklevel=3)

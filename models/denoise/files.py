@@ -18,8 +18,7 @@ from ..recordings.device_settings import settings_in_name
 from ..recordings.images import read_image
 from ..recordings.inputs import InputFile
 from ..recordings.portable_grey import white_of_file
-from .frame_shots import FrameShots
-from .images import Denoised, OutOfRange, Place
+from .images import Denoised, FrameShots, OutOfRange, Place
 from .job import DenoisingJob
 from .reports import FileReport, fusion_columns
 from .results import State, open_result, view_of
@@ -63,13 +62,13 @@ def _denoise_images(items: Sequence[InputFile], job: DenoisingJob) -> None:
 
 
 class _Images:
-    """Image files on their way.
+    """Image files that are being denoised, in the order of a sequence.
 
-    count: how many were read.
+    count: number of files read so far.
     """
 
     def __init__(self, items: Sequence[InputFile], job: DenoisingJob, state: State | None) -> None:
-        """state: of another object that was interrupted."""
+        """state: what `state` of an interrupted run gave; None: begin anew."""
         self._items = items
         self._job = job
         # Finished files, too: what a stream learns from them is part of the bytes of the others.
@@ -181,9 +180,9 @@ def _denoise_recording(item: InputFile, job: DenoisingJob) -> None:
 
 
 class _Run:
-    """A recording on its way.
+    """A recording that is being denoised.
 
-    frames_read: of the recording, those of a run that was interrupted included.
+    frames_read: frames read so far, those of an interrupted run included.
     """
 
     def __init__(

@@ -5,6 +5,7 @@ The command, `simnfnd.denoise` and evaluation denoise by it, an image or a seque
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from copy import copy
@@ -18,9 +19,10 @@ from ...factory.common.array_types import Array, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.workers.machine import usable_cores
 from ...factory.dataset.fan_geometry import FanGeometry
-from ..recordings.base import FULL_SCALE
-from ..recordings.device_settings import DeviceSettings
+from ..recordings.base import FULL_SCALE, SonarFrame
+from ..recordings.device_settings import DeviceSettings, settings_of
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
+from ..recordings.views import polar_geometry
 from .removed import Removed
 from .temporal.interleaved import Interleaved
 from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, SequenceFrame
@@ -32,9 +34,10 @@ Place = Callable[[Array], FanGeometry | None]
 
 @dataclass(frozen=True, eq=False)
 class Denoised:
-    """What became of an image.
+    """A denoised image.
 
-    key: of the image, as the caller named it.  image: of the same shape and dtype.
+    key: the name that the caller gave the image.  image: of the same shape and dtype as stored.
+    removed: what denoising took away.
     """
 
     key: Any
@@ -44,12 +47,12 @@ class Denoised:
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """An image on its way.
+    """An image that is being denoised.
 
     image: as it is stored.  shown: as it is denoised, inverted where it has a `white`.
-    levels: float32 in 0..1.  painted: of a colour map; None: of none.
-    strength: part of the change that it gets, 0 to 1.
-    level_range: by which `image` was scaled; None: as it is.
+    levels: float32 in 0..1.  painted: its colour map; None: it has none.
+    strength: part of the change that the image gets, 0 to 1.
+    level_range: the range that `image` was scaled by; None: it was not scaled.
     """
 
     key: Any
@@ -62,7 +65,7 @@ class _Source:
     level_range: LevelRange | None = None
 
     def result(self, levels: Float32s) -> Denoised:
-        """levels: (H, W) or (H, W, C), what became of its own."""
+        """The denoised image of denoised levels, (H, W) or (H, W, C)."""
         denoised = self._result(levels)
         if self.level_range is None or self.strength == 0:
             return denoised
@@ -250,9 +253,9 @@ class LazyFan:
 
 
 class FrameSequence:
-    """A sequence of images on its way: shots in, denoised images out, in order.
+    """A sequence of images that is being denoised: shots in, denoised images out, in order.
 
-    tally: see `InTime`.  strength: that was fitted so far.
+    tally: see `InTime`.
     """
 
     def __init__(
@@ -327,8 +330,54 @@ class FrameSequence:
         yield from _results(self._stream.settle())
 
     def close(self) -> None:
-        """Let go of the threads of a sequence that is not finished."""
+        """End the threads of a sequence that is not finished."""
         self._stream.close()
+
+
+class FrameShots:
+    """Turns the frames of a recording into shots, in order.
+
+    previous: the last frame of each sequence, see `SonarFrame`.
+    """
+
+    def __init__(
+        self, denoising: Denoising, find_geometry: Callable[[Array, str], FanGeometry | None]
+    ) -> None:
+        """find_geometry: of an image, given its `SonarFrame.sequence`; called in order."""
+        self._denoising = denoising
+        self._find_geometry = find_geometry
+        self.previous: dict[str, SonarFrame] = {}
+
+    def __call__(self, frame: SonarFrame) -> SequenceFrame:
+        """Make the shot of the next frame.  Raises ValueError as `Denoising.shot` does."""
+        shift_px = _turned_px(frame, self.previous.get(frame.sequence))
+        shot = self._denoising.shot(
+            frame,
+            frame.samples,
+            partial(self._geometry, frame),
+            shift_px,
+            is_tracked=True,
+            settings=settings_of(frame),
+        )
+        self.previous[frame.sequence] = frame
+        return shot
+
+    def _geometry(self, frame: SonarFrame, image: Array) -> FanGeometry | None:
+        if frame.beams is not None:
+            return polar_geometry(frame.beams, len(image))
+        return frame.geometry or self._find_geometry(image, frame.sequence)
+
+
+def _turned_px(frame: SonarFrame, previous: SonarFrame | None) -> tuple[float, float] | None:
+    """How far a scene moved across the beams since the previous frame, by the compass."""
+    heading_deg = frame.pose.heading_deg
+    previous_deg = previous.pose.heading_deg if previous is not None else None
+    if heading_deg is None or previous_deg is None or frame.beams is None:
+        return None
+    azimuths = frame.beams.azimuths_rad
+    turned_deg = (heading_deg - previous_deg + 180) % 360 - 180
+    spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
+    return -math.radians(turned_deg) / spacing, 0.0
 
 
 def _results(denoised: Iterable[tuple[Any, Float32s]]) -> Iterator[Denoised]:
