@@ -41,8 +41,8 @@ def main(words: Sequence[str]) -> int:
         metavar="FOLDER",
         help="two reports, which may be the same; or any number of reports on real images",
     )
-    parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")
-    parser.add_argument("--row-b", help="row of B (default: as A)")
+    parser.add_argument("--row-a", help="row of A (default: the one of highest PSNR, noisy aside)")
+    parser.add_argument("--row-b", help="row of B (default: chosen as that of A)")
     options = parser.parse_args(list(words))
     folders = [Path(name) for name in options.folders]
     if all(is_real_report(folder) for folder in folders):

@@ -64,14 +64,25 @@ class PaperPlan:
 def main(words: Sequence[str]) -> int:
     """Make, train, judge, and print the tables; the exit code of the step that failed, or 0."""
     parser = Parser(prog="simnfnd evaluate paper")
-    parser.add_argument("--quick", action="store_true", help=f"few pairs: {_QUICK_TIME}")
-    parser.add_argument("--scenes", type=Path, help="folder of FLSea VI (default: places made up)")
+    parser.add_argument("--quick", action="store_true", help=f"use few pairs: {_QUICK_TIME}")
+    parser.add_argument(
+        "--scenes", type=Path, help="folder of FLSea VI (default: procedural places)"
+    )
     parser.add_argument(
         "--real", type=Path, help="Marine Debris Dataset, for OldData (default: without that row)"
     )
-    parser.add_argument("--frames", type=int, help="to render (default: 8000; quick: 32)")
-    parser.add_argument("--steps", type=int, help="of each training (default: 4000; quick: 200)")
-    parser.add_argument("--out", type=Path, default=Path("outputs/paper"), help="folder of all")
+    parser.add_argument(
+        "--frames", type=int, help="number of frames to render (default: 8000; quick: 32)"
+    )
+    parser.add_argument(
+        "--steps", type=int, help="steps of each training (default: 4000; quick: 200)"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("outputs/paper"),
+        help="folder for everything (outputs/paper)",
+    )
     options = parser.parse_args(list(words))
     for key, least in (("frames", 4), ("steps", 1)):
         if (value := getattr(options, key)) is not None and value < least:

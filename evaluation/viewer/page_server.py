@@ -101,7 +101,9 @@ class PageServer(ThreadingHTTPServer):
 
 def add_page_options(parser: Parser) -> None:
     """The options of every verb that serves a page."""
-    parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1; default: a free one")
+    parser.add_argument(
+        "--port", type=int, default=0, help="port of 127.0.0.1 (default: a free one)"
+    )
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
 
 

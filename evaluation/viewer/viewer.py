@@ -39,7 +39,7 @@ def view(words: list[str]) -> None:
     """Serve what `words` ask for until Ctrl-C."""
     parser = Parser(prog="simnfnd view")
     parser.add_argument(
-        "path", type=Path, help="dataset, DATASET/LOCATION/SCENE, recording, bag, video"
+        "path", type=Path, help="dataset, DATASET/LOCATION/SCENE, recording, bag or video to show"
     )
     parser.add_argument("after", type=Path, nargs="?", help="the same recording, denoised")
     add_page_options(parser)
@@ -55,7 +55,9 @@ def sheet(words: list[str]) -> None:
     parser.add_argument(
         "--out", type=Path, help="image to write (default: DIR/preview.png; a recording needs it)"
     )
-    parser.add_argument("--pairs", type=int, default=8, help="pairs or frames to show")
+    parser.add_argument(
+        "--pairs", type=int, default=8, help="number of pairs or frames to show (8)"
+    )
     arguments = parser.parse_args(words)
     if is_recording(arguments.dir):
         path = _draw_recording(arguments.dir, arguments.out, arguments.pairs)

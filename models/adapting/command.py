@@ -51,26 +51,31 @@ def _parsed(arguments: Sequence[str]) -> Any:
         "recordings",
         nargs="+",
         metavar="IN",
-        help="folder, video, .aris, .ddf or .raw; several are learned from alike",
+        help="folder, video, .aris, .ddf or .raw to learn from; several count alike",
     )
     parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
     parser.add_argument(
         "--weights", help="weights to begin with: a file, or the name of weights that ship"
     )
     parser.add_argument(
-        "--steps", type=int, default=500, help="of two crops each (500, about 3 CPU minutes)"
+        "--steps",
+        type=int,
+        default=500,
+        help="training steps of two crops each (500, about 3 CPU minutes)",
     )
     parser.add_argument(
         "--geometry",
         default=FIND,
-        help="of images and videos: `find` it in the image (default), `polar`, `none`, or a "
-        "CSV table of fans (file, apex_x, apex_y, ...); recordings know theirs",
+        help="geometry of images and videos: `find` it in the image (default), `polar`, `none`, or "
+        "a CSV table of fans (file, apex_x, apex_y, ...); recordings know theirs",
     )
     parser.add_argument(
-        "--learning-rate", type=float, default=2e-4, help="of AdamW at its highest (0.0002)"
+        "--learning-rate", type=float, default=2e-4, help="highest learning rate of AdamW (0.0002)"
     )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random draws (0)")
+    parser.add_argument(
+        "--device", choices=("auto", "cpu", "gpu"), default="auto", help="what computes"
+    )
     chosen = parser.parse_args(list(arguments))
     if Path(chosen.out).suffix != ".safetensors":
         raise FactoryError(f"--out {chosen.out}: must end in .safetensors")

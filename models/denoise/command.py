@@ -159,33 +159,42 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("inputs", nargs="*", metavar="IN", help="image, folder, shard, video, recording, array")
+    inputs_help = "image, folder, shard, video, recording or array to denoise"
+    add("inputs", nargs="*", metavar="IN", help=inputs_help)
     add("--out", required=True, help="folder for the results; names are kept")
     add("--weights", help="weights.safetensors of a training, or a name of those that ship (below)")
-    noise_help = "of real sonars, or of the paper's points; shards say it themselves"
+    noise_help = (
+        "noise of real sonars (default), or of the paper's points; shards state it themselves"
+    )
     add("--noise", choices=("real", "points"), default="real", help=noise_help)
     add("--strength", type=float, default=1.0, help="part of the change, 0 to 1 (default: 1)")
     frames_help = (
-        "fuse up to N frames of a recording, video, stack or folder numbered in time where they "
-        f"show the same, half before and half after each; odd ({FRAMES}; 1: each alone)"
+        "fuse up to N frames of a recording, video, stack or folder numbered in time, where they "
+        f"show the same scene: half before and half after each; odd ({FRAMES}; 1: each alone)"
     )
     add("--frames", type=int, default=FRAMES, metavar="N", help=frames_help)
-    add("--invert", action="store_true", help="for dark echoes on a bright ground")
-    add("--causal", action="store_true", help="fuse with frames before alone, for live use")
+    add("--invert", action="store_true", help="denoise images of dark echoes on a bright ground")
+    add(
+        "--causal",
+        action="store_true",
+        help="fuse each frame with earlier ones alone, for live use",
+    )
     add("--compare", nargs="?", const=SHEETS, default="", metavar="FILE.mp4", help=_COMPARE)
     geometry_help = (
-        "of images and videos: `find` it in the image (default), `polar`, `none`, or a CSV table "
-        "of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
+        "geometry of images and videos: `find` it in the image (default), `polar`, `none`, or a "
+        "CSV table of fans (file, apex_x, apex_y, ...); shards and recordings know theirs"
     )
     add("--geometry", default=FIND, help=geometry_help)
-    opening_help = "of --geometry polar: degrees from the first column's edge to the last one's"
+    opening_help = "for --geometry polar: degrees from the first column's edge to the last one's"
     add("--opening", type=float, metavar="DEG", help=opening_help)
-    levels_help = "of float pings and images: what is black and white, such as -60 0 (default: 0 1)"
+    levels_help = (
+        "values of black and white in float pings and images, such as -60 0 (default: 0 1)"
+    )
     add("--levels", type=float, nargs=2, metavar=("BLACK", "WHITE"), help=levels_help)
-    add("--again", action="store_true", help="denoise all files, finished ones too")
-    topics_help = "of bags: whose images to denoise (may be repeated; default: those of sonars)"
+    add("--again", action="store_true", help="denoise all files, also finished ones")
+    topics_help = "topic of a bag to denoise (may be repeated; default: those of sonars)"
     add("--topic", action="append", default=[], help=topics_help)
-    add("--device", choices=("auto", "cpu", "gpu"), default="auto")
+    add("--device", choices=("auto", "cpu", "gpu"), default="auto", help="what computes (auto)")
 
     options = parser.parse_args(list(arguments))
     if options.compare not in ("", SHEETS) and Path(options.compare).suffix.lower() != SUFFIX:

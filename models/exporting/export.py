@@ -24,13 +24,13 @@ def main(arguments: Sequence[str]) -> int:
     add("--out", required=True, help="file to write")
     form = (
         "safetensors: 16 bits with a model card (default); onnx: for other programs, see "
-        "docs/how-to/deploy.md; runtime: the graph without weights by which `simnfnd denoise` does "
-        "without torch"
+        "docs/how-to/deploy.md; runtime: the graph without weights, with which `simnfnd denoise` "
+        "runs without torch"
     )
     add("--to", choices=tuple(SUFFIXES), default="safetensors", help=form)
-    geometry_help = "of the images that an onnx file gets with their range and bearing"
+    geometry_help = "for onnx: the images come with range and bearing of this geometry (none)"
     add("--geometry", choices=("none", "fan", "polar"), default="none", help=geometry_help)
-    reports = "real.json or report.json of evaluations, whose figures go into the model card"
+    reports = "real.json or report.json of evaluations; the model card states their figures"
     add("--figures", nargs="*", default=[], metavar="REPORT", help=reports)
     chosen = parser.parse_args(list(arguments))
     out = Path(chosen.out).expanduser()

@@ -15,9 +15,11 @@ def main(words: list[str]) -> None:
     """Write the export that `words` ask for."""
     parser = Parser(prog="simnfnd export")
     parser.add_argument("dir", help="folder or URL of a dataset")
-    parser.add_argument("--to", required=True, choices=FORMATS, help="format")
+    parser.add_argument("--to", required=True, choices=FORMATS, help="format to write")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
-    parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")
+    parser.add_argument(
+        "--split", choices=(*SPLITS, "all"), default="all", help="pairs to export (all)"
+    )
     parser.add_argument(
         "--classes",
         type=_split_names,
@@ -36,15 +38,15 @@ def main(words: list[str]) -> None:
         "--min-visibility",
         type=float,
         metavar="DB",
-        help="least visibility of an object (how far its echoes stand out), for example 3; of "
-        "coco, yolo and huggingface",
+        help="for coco, yolo and huggingface: least visibility of an object (how far its echoes "
+        "stand out), for example 3",
     )
     parser.add_argument(
         "--box",
         choices=tuple(BOX_CONVENTIONS),
         default="echo",
-        help="what a box is around: the echoes (default), echoes and shadow, or the whole object; "
-        "of coco, yolo and huggingface",
+        help="for coco, yolo and huggingface: what a box encloses, the echoes (default), echoes "
+        "and shadow, or the whole object",
     )
     arguments = parser.parse_args(words)
     summary = export(

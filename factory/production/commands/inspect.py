@@ -24,7 +24,9 @@ def main(words: list[str]) -> None:
     """Print what `words` ask for."""
     parser = Parser(prog="simnfnd inspect")
     parser.add_argument("path", help="folder or URL of a dataset")
-    parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
+    parser.add_argument(
+        "--pairs", type=int, default=200, help="measure at most so many pairs (200)"
+    )
     arguments = parser.parse_args(words)
     print("\n".join(report(local_folder(arguments.path), str(arguments.path), arguments.pairs)))
 
@@ -33,7 +35,7 @@ def check(words: list[str]) -> int:
     """Print what is wrong with the dataset; 0 when nothing is, else 1."""
     parser = Parser(prog="simnfnd validate")
     parser.add_argument("dir", help="folder or URL of a dataset")
-    parser.add_argument("--deep", action="store_true", help="read every image, too")
+    parser.add_argument("--deep", action="store_true", help="also read every image")
     arguments = parser.parse_args(words)
     report = validate(local_folder(arguments.dir, fresh=True), arguments.deep)
     for finding in report.findings:

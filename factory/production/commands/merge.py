@@ -36,8 +36,10 @@ def main(words: list[str]) -> None:
     parser = Parser(prog="simnfnd merge")
     parser.add_argument("dirs", nargs="+", type=Path, metavar="DIR", help="folders of datasets")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
-    parser.add_argument("--name", help="of the merged dataset (default: merged)")
-    parser.add_argument("--licence", help="of the merged dataset (default: theirs, if all agree)")
+    parser.add_argument("--name", help="name of the merged dataset (default: merged)")
+    parser.add_argument(
+        "--licence", help="licence of the merged dataset (default: theirs, if all agree)"
+    )
     arguments = parser.parse_args(words)
     manifest = merge(
         arguments.dirs, arguments.out, name=arguments.name or "merged", licence=arguments.licence

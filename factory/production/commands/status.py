@@ -27,7 +27,8 @@ def main(words: list[str]) -> int:
     modes.add_argument(
         "--rerun",
         action="store_true",
-        help="try them again, with the dataset's configuration; renders go to the cache",
+        help="try the failed frames again, with the dataset's configuration; their renders go to "
+        "the cache",
     )
     parser.add_argument(
         "settings", nargs="*", metavar="KEY=VALUE",
