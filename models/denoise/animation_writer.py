@@ -13,8 +13,8 @@ from typing import IO, Any
 
 import cv2
 import numpy as np
-from PIL import Array as PillowImage
 from PIL import GifImagePlugin
+from PIL import Image as PillowImage
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
