@@ -23,6 +23,7 @@ from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
+from .grain_width import grain_correlation
 from .images import block_means
 from .polar import Maps
 from .runtime import open_runtime
@@ -35,11 +36,8 @@ _SEVERAL = 1.5
 _LIT = 0.1
 _LIT_SHARE = 0.01
 """Around a fan, the grey value of lit pixels and their share from which on it is a lit page."""
-_AROUND_PX = 9  # side of the mean that grain is measured against
-_RAMP = 0.05  # of the correlation: from nothing to the whole change of the smaller image
-_LEAST_LIT = 2000
-_LEAST_SIDE = 96
-"""Pixels with neighbours to measure grain, and side of an image that may still be halved."""
+_RAMP = 0.02  # of the correlation: from nothing to the whole change of the smaller image
+_LEAST_SIDE = 96  # of an image that may still be halved, pixels
 
 
 class Denoiser:
@@ -134,7 +132,7 @@ def by_scales(grey: Float32s, maps: Maps, denoise: Work, widest: float) -> Float
     """
     part = np.float32(0)
     if widest < 1 and min(grey.shape) >= 2 * _LEAST_SIDE:
-        part = np.float32(np.clip((correlation(grey) - widest) / _RAMP, 0, 1))
+        part = np.float32(np.clip((grain_correlation(grey) - widest) / _RAMP, 0, 1))
     if part == 0:
         return denoise(grey, maps)
     small = block_means(grey, 2)
@@ -148,23 +146,6 @@ def by_scales(grey: Float32s, maps: Maps, denoise: Work, widest: float) -> Float
     if "sector" in maps:
         enlarged = enlarged * (maps["sector"] > 0)
     return denoise(np.clip(grey + part * enlarged, 0, 1).astype(np.float32), maps)
-
-
-def correlation(grey: Float32s) -> float:
-    """Correlation of the grain of neighbouring pixels, the lesser of rows and columns.
-
-    0 where too few pixels are lit to tell, or where there is no grain.
-    """
-    lit = cv2.erode((grey > 0).astype(np.uint8), np.ones((3, 3), np.uint8))
-    if np.count_nonzero(lit) < _LEAST_LIT:
-        return 0.0
-    grain = (grey - cv2.blur(grey, (_AROUND_PX, _AROUND_PX))) * lit
-    power = float(np.einsum("ij,ij->", grain, grain))
-    if power <= 0:
-        return 0.0
-    down = float(np.einsum("ij,ij->", grain[1:], grain[:-1]))
-    across = float(np.einsum("ij,ij->", grain[:, 1:], grain[:, :-1]))
-    return min(down, across) / power
 
 
 def tiled(work: Work, image: Float32s, maps: Maps, tile: int, overlap: int) -> Float32s:
