@@ -352,7 +352,7 @@ class OpenRecording:
         return self._recording.warning
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._recording.close()
 
     def __enter__(self) -> Self:

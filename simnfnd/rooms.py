@@ -42,7 +42,7 @@ class _Refusal(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """None, which leaves the module to other finders, for all but those of the room."""
+        """Raise ImportError for a module of the room; returns None for others."""
         if not fullname.startswith(f"{self._room}.") or fullname == f"{self._room}.__main__":
             return None
         raise ImportError(f"{fullname}: import simnfnd.{fullname} instead", name=fullname)

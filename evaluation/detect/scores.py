@@ -111,11 +111,6 @@ def threshold_of(responses: Responses, alarms_per_frame: float) -> float:
     return float(np.partition(responses.alarm_change, -count)[-count])
 
 
-def auc_of(present: Float64s, absent: Float64s) -> float:
-    """Area under the ROC curve: how often a value of `present` exceeds one of `absent`."""
-    return float(_wins(present, absent) / (len(present) * len(absent)))
-
-
 def _class_figures(class_draws: Float64s) -> ClassFigures:
     """Means over recordings.  class_draws: (figures, recordings, draws) of one class."""
     return ClassFigures(*(_estimate(_mean(figure_draws)) for figure_draws in class_draws))
@@ -148,7 +143,7 @@ def _draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Float
     return np.vstack([np.ones(count), resampled])
 
 
-def _wins(present: Float64s, absent: Float64s) -> float:
+def count_wins(present: Float64s, absent: Float64s) -> float:
     """Number of pairs in which `present` is greater, ties counted half."""
     ordered = np.sort(absent)
     below = np.searchsorted(ordered, present, "left")
@@ -167,7 +162,7 @@ def _auc(responses: Responses, tracks: Sequence[int], weights: Float64s) -> Floa
     """
     present = [responses.present[responses.track == track] for track in tracks]
     absent = [responses.absent[responses.track == track] for track in tracks]
-    wins = np.array([[_wins(target, twin) for twin in absent] for target in present])
+    wins = np.array([[count_wins(target, twin) for twin in absent] for target in present])
     sightings = np.array([len(target) for target in present], float)
     pairs = np.outer(sightings, sightings)
     within = _auc_within_tracks(wins, pairs, weights)

@@ -17,7 +17,7 @@ def mean_around(frames: Grey, number: int, reach: int) -> Grey:
 
 
 def registered_mean(frames: Grey, number: int, reach: int) -> Grey:
-    """The same after each frame is laid over the one at `number`.
+    """Mean of the frames, each laid over the one at `number` first.
 
     The shift of whole frames is the peak of their phase correlation (Kuglin and Hines 1975),
     rounded to pixels, so that no frame is interpolated.
@@ -43,7 +43,7 @@ def shift_px(fixed: Grey, moved: Grey) -> tuple[int, int]:
 
 
 def _band(image: Grey) -> Grey:
-    """Without fine grain and without brightness."""
+    """The image without fine grain and without brightness."""
     fine, broad = _BAND_PX
     image = np.asarray(image, np.float32)
     return np.asarray(

@@ -119,7 +119,7 @@ def shipped_for(dataset: Path) -> list[str]:
 def networks_at(
     models: Sequence[str], ablation: Mapping[str, str | None] | None = None
 ) -> list[Method]:
-    """The same of these weights; `ablation`: row of the paper's Table 3 -> weights or None."""
+    """Methods of these networks; `ablation`: row of the paper's Table 3 -> weights or None."""
     requested = [(path, "", "models") for path in models]
     requested += [(path, row, f"ablation.{row}") for row, path in (ablation or {}).items() if path]
     methods: dict[Path, Method] = {}

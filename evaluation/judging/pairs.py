@@ -126,7 +126,7 @@ def drawn_of(items: Sequence[JudgedPair]) -> pd.DataFrame:
 
 
 def config_hash_of(item: JudgedPair) -> str:
-    """Of the dataset that an item is of."""
+    """Hash of the configuration of an item's dataset."""
     with open_shard(Path(item.place[0])) as file:
         return str(file.attrs["config_hash"])
 

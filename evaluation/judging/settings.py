@@ -70,7 +70,7 @@ class EvaluationSettings(ReportSettings):
 
     @property
     def name(self) -> str:
-        """Of the dataset: its folder's."""
+        """Name of the dataset: that of its folder."""
         return Path(self.dataset.dir).resolve().name
 
     @property
@@ -97,7 +97,7 @@ class RealSettings(ReportSettings):
 
     @property
     def name(self) -> str:
-        """Of what is judged."""
+        """Name of what is judged."""
         return Path(self.real).expanduser().resolve().name
 
     @property
@@ -182,7 +182,7 @@ class TransferSettings:
 
     @property
     def name(self) -> str:
-        """Of the real images, or of the dataset where there are none."""
+        """Name of the real images, or of the dataset where there are none."""
         return Path(self.real or self.dataset.dir or "dataset").expanduser().resolve().name
 
     @property
@@ -267,7 +267,7 @@ class SearchedKey:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Of the value; NaN where there are none."""
+        """Limits of the value; NaN where there are none."""
         low, high = (math.nan if end is None else end for end in (self.low, self.high))
         return low, high
 
@@ -296,7 +296,7 @@ class FitSettings:
     @field_validator("parameters", mode="before")
     @classmethod
     def _flat(cls, tree: dict[str, Any]) -> dict[str, Any]:
-        """Without the keys that are set to null."""
+        """The values without the keys that are set to null."""
         return {key: value for key, value in flattened(tree).items() if value is not None}
 
     @model_validator(mode="after")

@@ -69,7 +69,7 @@ class Control:
     can_be_null: bool = False
 
     def plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """The control as plain data for JSON."""
         return asdict(self)
 
 
@@ -216,7 +216,7 @@ def slider_ends(
 
 
 def _rounded(value: float) -> float:
-    """Without the last digits, which arithmetic has left."""
+    """The value without the last digits, which arithmetic has left."""
     return float(f"{value:.9g}")
 
 

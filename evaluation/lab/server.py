@@ -153,7 +153,7 @@ class LabServer(PageServer):
         return {"images": [_pixels(_grey(pair.noisy)) for pair in pairs]}
 
     def server_close(self) -> None:
-        """Let go of the recording, too."""
+        """Close the server and the recording."""
         super().server_close()
         if self.real is not None:
             self.real.close()

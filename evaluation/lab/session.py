@@ -122,7 +122,7 @@ class Session:
     def inert(
         self, config: FactoryConfig, keys: Collection[str], named: Collection[str]
     ) -> dict[str, str]:
-        """Those of the keys that do nothing, each with the reason.
+        """Keys that have no effect, each with the reason.
 
         named: the changed ones.
         """

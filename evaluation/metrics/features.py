@@ -123,7 +123,7 @@ def grain_of(polar: Grey) -> Grey:
 
 
 def autocorrelation(grain: Grey, axis: int) -> Float64s:
-    """At lags 0, 1, ... along an axis, each over the pairs that exist."""
+    """Autocorrelation at lags 0, 1, ... along an axis, each over the pairs that exist."""
     size = grain.shape[axis]
     power = np.abs(fft.rfft(grain, 2 * size, axis=axis)) ** 2
     raw = fft.irfft(power.sum(axis=1 - axis), 2 * size)[: min(_LAGS, size - 1)]

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def evenly(every: Sequence[T], most: int | None) -> list[T]:
-    """At most so many of them, evenly spread; None: all."""
+    """Choose at most so many items, evenly spread; None: all."""
     count = len(every) if most is None else min(most, len(every))
     return [every[number * len(every) // count] for number in range(count)]
 
@@ -74,7 +74,7 @@ LEAST_FRAMES = 6
 
 @dataclass(frozen=True)
 class Paired:
-    """One row against another, pair by pair.
+    """A comparison of two rows, pair by pair.
 
     difference: mean of first minus second with its interval.
     p: of the two-sided Wilcoxon signed-rank test over frames; NaN for fewer than `LEAST_FRAMES`.

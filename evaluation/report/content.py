@@ -186,7 +186,7 @@ def _facts(
 
 
 def best_forms(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Of each method the form with the best PSNR here; rows come best first, lost ones last."""
+    """The form of each method with the best PSNR here; rows come best first, lost ones last."""
     best: dict[str, Mapping[str, Any]] = {}
     for row in rows:
         if row["kind"] == "noisy" or row["name"] != "identity":

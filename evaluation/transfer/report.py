@@ -290,7 +290,7 @@ def _precision_at(matches: Matches) -> list[float]:
 
 
 def _simulated_figures(comparison: Comparison) -> Figures | None:
-    """Those of simulation alone on simulated images that it did not learn from."""
+    """Figures of simulation alone on simulated images that it did not learn from."""
     if comparison.trained is None or not comparison.held_out:
         return None
     held_out = [

@@ -158,7 +158,7 @@ def _entry(number: int, box: Float32s) -> dict[str, Any]:
 
 
 def average_precision(matches: Matches, weights: Int64s | None = None) -> float:
-    """As pycocotools defines it: precision made monotone, at 101 recalls.  NaN without objects.
+    """Average precision as pycocotools defines it, at 101 recalls; NaN without objects.
 
     weights: (I,) how often each image counts; None: once.
     """

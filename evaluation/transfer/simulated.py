@@ -152,7 +152,7 @@ def _objects_in(
 def _visible(
     objects: list[_SimulatedObject], record: np.void, least_db: float | None
 ) -> list[_SimulatedObject]:
-    """Those that stand out by so much; all of them where the dataset does not say."""
+    """Objects that stand out by so much; all objects where the dataset does not say."""
     if least_db is None or "visibility" not in (record.dtype.names or ()):
         return objects
     visibility_db = json.loads(record["visibility"].decode())

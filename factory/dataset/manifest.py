@@ -74,7 +74,7 @@ class ShardInfo:
         return cls(**{**item, "failed": tuple(item.get("failed", ()))})
 
     def plain(self) -> dict[str, Any]:
-        """As JSON holds it; `inputs` is left out where there are none."""
+        """The entry as JSON holds it, without `inputs` where there are none."""
         values = asdict(self)
         return values if self.inputs else {k: v for k, v in values.items() if k != "inputs"}
 

@@ -209,7 +209,7 @@ class PairDataset:
 
     @cached_property
     def form(self) -> DatasetForm:
-        """Of the dataset."""
+        """The form of the dataset, read from its first shard."""
         with reading(self.paths[0]) as file:
             table = file["meta"]
             columns = []
@@ -238,7 +238,7 @@ class PairDataset:
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """Of noisy and clean as they are given out."""
+        """Type of noisy and clean as they are given out."""
         return np.dtype(np.float32) if self.scaled else self.form.layers["noisy"]
 
     @property
@@ -353,7 +353,7 @@ def _plain(value: Any) -> float | int | str:
 
 
 def _geometry(config: Mapping[str, Any], record: Mapping[str, Any]) -> FanGeometry | None:
-    """Of one image; None where another program wrote the dataset."""
+    """Geometry of one image; None where another program wrote the dataset."""
     try:
         sonar = recorded_sonar(config)
         return None if sonar is None else FanGeometry.from_record(sonar, record)

@@ -159,7 +159,7 @@ def hold_out(
 
 
 def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, ...]:
-    """At most `limit` of them, evenly spaced."""
+    """Choose at most `limit` samples, evenly spaced."""
     if limit is None or len(samples) <= limit:
         return samples
     return tuple(samples[index * len(samples) // limit] for index in range(limit))

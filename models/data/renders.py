@@ -208,7 +208,7 @@ def scaled(block: Any, factor: float) -> Any:
 
 
 def resized(sonar: SonarSettings, scale: ImageScale) -> SonarSettings:
-    """The same device with other numbers of beams, range bins and pixels.
+    """The device with other numbers of beams, range bins and pixels.
 
     Its point spread stays as many bins and beams wide, so with more of them it resolves more.
     Raises FactoryError when that is too many, and where there is a table of beams, which says

@@ -248,7 +248,7 @@ def temporal_noise(rng: np.random.Generator, image: Float32s) -> Float32s:
 
 
 def with_loud_beam(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
-    """The same with a beam that is too loud along most of its length, which the target lacks."""
+    """Add a beam that is too loud along most of its length, which the target lacks."""
     if sample.geometry is None or rng.random() >= _LOUD:
         return sample
     maps = sample.geometry.maps(0, 0, *sample.noisy.shape)

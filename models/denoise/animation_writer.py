@@ -68,7 +68,7 @@ def _write_gif(output: IO[bytes], images: Iterable[TimedImage], source: Animatio
 
 
 def _with_palette(image: Array) -> PillowImage.Image:
-    """With all 256 greys, or with the 256 colours that are nearest to its own."""
+    """The image with a palette of all 256 greys, or of the 256 colours nearest to its own."""
     if image.ndim == 2:
         height, width = image.shape
         indexed = PillowImage.frombytes("P", (width, height), image.tobytes())

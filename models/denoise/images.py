@@ -128,7 +128,7 @@ class Denoising:
         self.last_map: Palette | None = None
 
     def of_simulated(self, network: Network) -> Denoising:
-        """The same run with the network for simulated images, which have noise around their fan."""
+        """The run with the network for simulated images, which have noise around their fan."""
         variant = copy(self)
         variant.network = network
         variant._in_time = partial(self._in_time, keeps_outside=False)

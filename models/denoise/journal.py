@@ -90,11 +90,14 @@ class Journal:
             self._file.seek(len(head))
 
     def key(self, item: InputFile) -> str:
-        """Of the command and of the sources that decide on the result of an item."""
+        """Key of the command and the sources that decide the result of an item."""
         return self._keys.get(item.relative, "")
 
     def add(self, item: InputFile, row: dict[str, Any], result: Path | None = None) -> None:
-        """A file is denoised.  row: of the table.  result: what was written, if not usual."""
+        """Record a denoised file.
+
+        row: its row of the table.  result: the file written, where it has another name.
+        """
         path = result or self._out / item.relative
         name = os.path.relpath(path, self._out)
         entry = Entry(str(item.relative), self.key(item), name, _state_of(path), row)
@@ -126,7 +129,7 @@ class Journal:
         write_atomically(self._path, lines.encode(), key="--out")
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
             self._file = None

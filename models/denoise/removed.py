@@ -90,7 +90,7 @@ class Removed:
 
     @cached_property
     def structure(self) -> Structure | None:
-        """None where nothing was removed, and where too little was insonified to tell."""
+        """The most suspicious spot; None if nothing was removed or too little was insonified."""
         insonified = (reduced(self._insonified) > 0.99).astype(np.uint8)
         inside = cv2.erode(insonified, np.ones((5, 5), np.uint8)) > 0
         signal = reduced(self.signal)

@@ -120,7 +120,7 @@ class _Shard:
             return bytes(results.id.get_file_image())
 
     def close(self) -> None:
-        """Let go of the file and the results."""
+        """Close the file and the results."""
         if self._source is not None:
             self._source.close()
         self._source = None

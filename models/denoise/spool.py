@@ -58,5 +58,5 @@ class Spool:
                 yield Record(header, file.read(size))
 
     def close(self) -> None:
-        """Let go of the file, which stays."""
+        """Close the file, which stays on disk."""
         self._file.close()

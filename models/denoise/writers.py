@@ -49,7 +49,7 @@ class Compared(NamedTuple):
     clean: Array | None = None
 
     def panels(self) -> dict[str, Array]:
-        """By their captions, from left to right."""
+        """The panels by their captions, from left to right."""
         captions = {
             "noisy": self.noisy,
             "denoised": self.denoised,

@@ -36,7 +36,7 @@ _BATCH = 8
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """In one image, best first.
+    """The detections in one image, best first.
 
     boxes: (N, 4) px of the original image.  scores: (N,) in 0..1.  labels: (N,) likeliest class.
     """
@@ -114,7 +114,7 @@ def _detect_at(
 
 
 def _fuse(views: Sequence[Detections]) -> Detections:
-    """One detection of all that overlap: the mean box, weighted by the scores.
+    """Merge detections that overlap: their mean box, weighted by the scores.
 
     Its score is the mean of the best one and of the mean over all views, so that an object that is
     found in one size alone counts, and one that is found in all of them counts more (after Solovyev

@@ -25,7 +25,7 @@ _RARE = -3.5  # logit of a centre before training: most cells hold none
 
 
 class Outputs(NamedTuple):
-    """For N images of h x w cells.
+    """Outputs of the network for N images of h x w cells.
 
     centre: (N, 1, h, w) logits.  sides: (N, 4, h, w), distances to left, top, right and bottom in
     cells, > 0.  classes: (N, K, h, w) logits.

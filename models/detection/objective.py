@@ -21,7 +21,7 @@ _CLASS_WEIGHT = 0.3
 
 
 class Targets(NamedTuple):
-    """For N images of h x w cells.
+    """Targets of the network for N images of h x w cells.
 
     heat: (N, 1, h, w), 1 at centres, falling to 0.  sides: (N, 4, h, w) in cells.  weight:
     (N, 1, h, w), 0 where no object teaches its sides.  label: (N, h, w), UNKNOWN likewise.

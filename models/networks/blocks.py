@@ -32,5 +32,5 @@ class ResidualBlock(nn.Module):
 
 
 def residual_blocks(channels: int, count: int) -> nn.Sequential:
-    """So many of them, one after another."""
+    """A chain of so many residual blocks."""
     return nn.Sequential(*(ResidualBlock(channels) for _ in range(count)))

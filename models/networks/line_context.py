@@ -72,7 +72,7 @@ class MapLines:
 
     @classmethod
     def of(cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor) -> MapLines:
-        """From maps of the image, (N, 1, H, W) each, for features of half its size.
+        """Derive them from maps of the image, (N, 1, H, W) each, for features of half its size.
 
         The sector's bearings and ranges are divided evenly into w beams and h arcs.
         """

@@ -63,7 +63,7 @@ class GatedBlock(nn.Module):
         self.scale2 = nn.Parameter(torch.zeros(1, channels, 1, 1))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Same shape."""
+        """Features of the same shape."""
         y = gate(self.depthwise(self.expand(self.norm1(x))))
         y = y * self.attention(y.mean(dim=(2, 3)))[:, :, None, None]
         x = x + self.scale1 * self.project(y)

@@ -97,7 +97,7 @@ class LayerNorm(nn.Module):
         self.norm = nn.LayerNorm(channels, eps=1e-6, bias=bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Same shape."""
+        """The denoised images, of the same shape."""
         # In channels-last memory both permutations are free.
         normed: Tensor = self.norm(x.permute(0, 2, 3, 1))
         return normed.permute(0, 3, 1, 2)

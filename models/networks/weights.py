@@ -40,7 +40,7 @@ class Trained:
 
 
 def channels_last(network: Network) -> Network:
-    """The same network with the memory layout that halves its time on a CPU."""
+    """The network with the memory layout that halves its time on a CPU."""
     import torch
 
     for tensor in (*network.parameters(), *network.buffers()):

@@ -150,7 +150,7 @@ def _frames_of_gif(file: IO[bytes], size: int) -> _Whole:
 
 
 def _colour_bytes(packed: int) -> int:
-    """Of the table of colours that a packed field announces."""
+    """Bytes of the table of colours that a packed field announces."""
     return 3 << (packed & 7) + 1 if packed & 0x80 else 0
 
 

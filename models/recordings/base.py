@@ -165,7 +165,7 @@ class Recording(ABC):
         yield from self.frames_from(0)
 
     def frames_from(self, first: int) -> Iterator[SonarFrame]:
-        """Those that `__iter__` gives from frame number `first` on."""
+        """The frames from number `first` on."""
         for number in range(first, self.count):
             try:
                 frame = self._read(number)
@@ -177,7 +177,7 @@ class Recording(ABC):
             yield frame
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
 

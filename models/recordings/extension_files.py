@@ -50,7 +50,7 @@ class RecordingReader(Protocol):
     def __getitem__(self, number: int) -> SonarFrame: ...
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class ExtensionFile(Recording):
         return explained(f"{words} by {self._entry.kind} ({source})", reason=True, passing=Ended)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         super().close()
         if self._reader is not None:
             with suppress(Exception):  # the code of another package

@@ -63,11 +63,6 @@ def matlab_row(name: str, shape: Sequence[int], dtype: str) -> Row:
     return [*row, [int(size) for size in shape]] if is_ambiguous(shape) else row
 
 
-def _matlab_class(dataset: Any) -> str:
-    kind = dataset.attrs.get("MATLAB_class", b"")
-    return kind.decode() if isinstance(kind, bytes) else str(kind)
-
-
 def is_shard(path: str) -> bool:
     """Whether an HDF5 file claims to be a shard of a dataset.  May crash, see `call_isolated`."""
     import h5py

@@ -129,7 +129,7 @@ def _tiff_header(content: bytes, name: str) -> tuple[bytes, Directory]:
 
 
 def _orientation_of(header: Image.Image) -> Orientation:
-    """As the tag in an image file says; upright where it is damaged."""
+    """Orientation that the tag of an image file states; upright where it is damaged."""
     try:
         with explained("no Exif"):
             return orientation_of_exif(header.getexif().get(EXIF_ORIENTATION))

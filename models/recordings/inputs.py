@@ -116,7 +116,7 @@ def _by_folder(items: Sequence[InputFile]) -> dict[Path | None, list[InputFile]]
 
 
 def said_of_sequences(items: Sequence[InputFile]) -> Iterator[str]:
-    """One line a folder of several images: as how many sequences their names read."""
+    """A line for each folder of several images: into how many sequences their names divide."""
     folders = [(folder, some) for folder, some in _by_folder(items).items() if folder and some[1:]]
     for folder, some in folders[:_MOST_FOLDERS_SAID]:
         sizes = [len(sequence) for sequence in sequences(some)]

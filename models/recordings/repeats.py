@@ -46,7 +46,7 @@ class RepeatFinder:
         return False
 
     def _most_changed(self) -> float:
-        """In a recording whose frames differ little, copies differ still less."""
+        """Most change that a copy may show; it is smaller in recordings that change little."""
         largest = sorted(self._changes)[-2:]
         usual = _OF_OTHERS * largest[0] if len(largest) == 2 else _MOST_CHANGED
         return min(max(usual, _SURELY_COPIED), _MOST_CHANGED)

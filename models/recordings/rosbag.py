@@ -162,7 +162,7 @@ class RosBag(Recording):
         raise Ended(f"{self.path}: ends before frame {number}; it is cut short or damaged")
 
     def rewrite(self, samples: Iterable[Array], path: Path) -> None:
-        """The same bag with other samples in its frames; all else is copied.
+        """Write the bag with other samples in its frames; everything else is copied.
 
         samples: of each frame in order, in the shape and type of `SonarFrame.samples`.
         Raises ValueError for samples of another shape, type or number, FrameError when the bag is
@@ -211,7 +211,7 @@ class RosBag(Recording):
             raise ValueError(f"{self.path}: has fewer frames than samples were given")
 
     def _writer(self, target: Path) -> Any:
-        """Of the same kind of bag, without compression."""
+        """A writer of the same kind of bag, without compression."""
         if self.version == 1:
             return self._library.Writer(target)
         mcap = any(".mcap" in file.suffixes for file in self._files)
@@ -303,7 +303,7 @@ def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, name: s
 
 
 def with_samples(message: Any, msgtype: str, samples: Array, name: str) -> Any:
-    """The same message with other samples, of the shape and type of those of its frame.
+    """The message with other samples, of the shape and type of those of its frame.
 
     A compressed image is compressed as it was, JPEG at its best quality.
     Raises ValueError for samples of another shape or type.

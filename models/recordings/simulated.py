@@ -56,7 +56,7 @@ class DatasetRecording(Recording):
         )
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         self._pairs.close()
 
     def __del__(self) -> None:

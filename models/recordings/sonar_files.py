@@ -158,7 +158,7 @@ class ArisFile(_SoundMetricsFile):
         )
 
     def rewrite(self, samples: Iterable[Array], path: Path) -> None:
-        """The same recording with other samples, (ranges, beams) uint8 of each frame, as a file.
+        """Write the recording with other samples, (ranges, beams) uint8 for each frame.
 
         Raises ValueError for samples of another shape, type or number, FactoryError when `path`
         cannot be written.

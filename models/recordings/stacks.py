@@ -178,7 +178,7 @@ class StackFile(Recording):
 
 
 def _opened(file: IO[bytes]) -> Image.Image | None:
-    """None for a kind of TIFF that Pillow does not know."""
+    """The opened TIFF; None for a kind that Pillow does not know."""
     try:
         with explained("not for Pillow"):
             file.seek(0)

@@ -90,7 +90,7 @@ class Directory:
 
     @property
     def page_bytes(self) -> int:
-        """Of the page's pixels without compression."""
+        """Bytes of the page's pixels without compression."""
         width, height = self.size
         return width * height * self.number(SAMPLES, 1) * self.number(BITS, 1) // 8
 
@@ -160,7 +160,7 @@ def directories_of(
 
 
 def _form_of(file: IO[bytes]) -> _Form | None:
-    """None for a file that is no TIFF."""
+    """Form of a TIFF; None for any other file."""
     file.seek(0)
     head = file.read(4)
     order = {b"II": "<", b"MM": ">"}.get(head[:2])
@@ -213,7 +213,7 @@ def _directory_at(
 
 
 def _numbers_at(file: IO[bytes], place: int, count: int, kind: str) -> Iterator[int]:
-    """So many numbers of a type of `struct`, with its byte order; fewer at the end of the file."""
+    """Numbers of a type of `struct`, with its byte order; fewer at the end of the file."""
     file.seek(place)
     width = struct.calcsize(kind)
     content = file.read(count * width)

@@ -211,7 +211,7 @@ class VideoFile(Recording):
         yield from self.frames_from(0)
 
     def frames_from(self, first: int) -> Iterator[SonarFrame]:
-        """Those that `__iter__` gives from frame number `first` on; the others are decoded, too."""
+        """The frames from number `first` on; earlier ones are decoded, too."""
         reading = _Reading()
         timing: _Timing | None = None
         with self._opened() as (_, stream):

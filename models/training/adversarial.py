@@ -28,7 +28,7 @@ class Opponent:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """All that going on needs."""
+        """All that resuming needs."""
         return {"critic": self._critic.state_dict(), "optimizer": self._optimizer.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -39,7 +39,7 @@ class Opponent:
     def adversarial_loss(
         self, network: AdversarialNetwork, batch: Batch, clean: Tensor, denoised: Tensor, loss: Loss
     ) -> Tensor:
-        """One turn of the critic; then the loss of the network, scalar.
+        """Train the critic by one step, then return the loss of the network, a scalar.
 
         clean, denoised: (N, 1, H, W); `denoised` with its gradient.
         """

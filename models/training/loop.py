@@ -142,7 +142,7 @@ class TrainingLoop:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self._is_mixed)
 
     def learning_rate(self) -> float:
-        """Of the next step: a linear warm-up and a cosine decay to zero."""
+        """Learning rate of the next step: a linear warm-up and a cosine decay to zero."""
         steps = self.settings.steps
         warmup = self.settings.warmup
         step = self.step
@@ -153,7 +153,7 @@ class TrainingLoop:
         )
 
     def update(self, batch: Batch) -> Tensor:
-        """One step; returns its loss.  Raises FactoryError when that is not a number."""
+        """Take one step and return its loss.  Raises FactoryError when that is not a number."""
         for group in self._optimizer.param_groups:
             group["lr"] = self.learning_rate()
         # Autocast rounds what a convolution reads; images, targets and maps of geometry stay exact.

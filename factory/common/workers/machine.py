@@ -55,7 +55,7 @@ def keep_freed_memory() -> None:
 
 
 def workers_that_fit(wanted: int) -> int:
-    """As many of them as the limits of this process allow; says so when that is not all.
+    """As many workers as the limits of this process allow; reports when these are fewer.
 
     Raises FactoryError when not even one fits.
     """

@@ -21,7 +21,7 @@ _TASK = "task"
 
 @dataclass(frozen=True)
 class TaskLost:
-    """In place of a result: the worker died or took too long."""
+    """Stands in place of a result when the worker died or took too long."""
 
     reason: str
 

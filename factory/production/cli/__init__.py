@@ -41,7 +41,7 @@ _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 
 
 class Parser(argparse.ArgumentParser):
-    """For verbs with options: `simnfnd VERB` as `prog`, and mistakes as one line."""
+    """Parses the words of verbs with options, and reports mistakes in one line."""
 
     def error(self, message: str) -> NoReturn:
         """Raise FactoryError, like every other mistake of the user."""

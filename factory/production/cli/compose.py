@@ -80,7 +80,7 @@ class Composition(NamedTuple):
 
 
 def compose(words: Sequence[str]) -> Composition:
-    """As `compose_config`, with the values that the configuration was built from."""
+    """Compose as `compose_config` does; also returns the values behind the configuration."""
     with _one_line_errors(words) as readable:
         return _compose([word for word in readable if not word.startswith("-")])
 

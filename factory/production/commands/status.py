@@ -117,5 +117,5 @@ def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
 
 
 def _printable(text: str) -> str:
-    """Without what a terminal would obey."""
+    """The text without characters that a terminal would obey."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -96,7 +96,7 @@ class Publication:
     is_remote: bool
 
     def forward(self, name: str, content: bytes | None) -> None:
-        """As `files.forward_writes` says; shards stay in the copy as long as there is room."""
+        """Forward a file, see `files.forward_writes`; the copy keeps shards while there is room."""
         if not self.holds():
             raise FactoryError(
                 f"{self.store.url}: was taken by another run while this one was suspended; nothing "

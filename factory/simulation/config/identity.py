@@ -195,7 +195,7 @@ def _drop_later_keys_at_their_defaults(values: dict[str, Any]) -> None:
 
 
 def _mesh_digest(path: str, key: str) -> str:
-    """The same of a mesh and all files that it refers to.  Raises FactoryError without one."""
+    """Digest of a mesh and all files that it refers to.  Raises FactoryError without one."""
     mesh = Path(path).expanduser()
     _file_digest(path, key)  # says best that the file itself is not there
     files = files_of(mesh, key)

@@ -29,7 +29,7 @@ class RendererChoice(NamedTuple):
 
     @property
     def text(self) -> str:
-        """For people, for example `closed form (render=auto: the sonar is at the camera)`."""
+        """The choice in words, such as `closed form (render=auto: the sonar is at the camera)`."""
         return f"{RENDERER_NAMES[self.settings.kind]} ({self.reason})"
 
 

@@ -117,7 +117,7 @@ def _by_fraction(scenes: Sequence[_Scene], fraction: float) -> list[_Scene]:
 
 
 def _spread(by_scene: Sequence[Sequence[FrameRef]], total: int | None) -> list[FrameRef]:
-    """At most `total` frames, as many of each scene as can be, each scene's evenly spread.
+    """Choose at most `total` frames, equally many of each scene and evenly spread in it.
 
     A larger total only adds to a smaller one.
     """

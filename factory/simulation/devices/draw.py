@@ -222,7 +222,7 @@ def _reflectivity_db(acoustics: CoherentSettings, device: DrawnDevice) -> dict[s
 
 
 def resolved(config: Config, device: DrawnDevice, window: Window, *, any_size: bool) -> Config:
-    """The same, with what the device resolves in its window, and a fan as wide as its sector."""
+    """The device with its resolution in the window, and a fan as wide as its sector."""
     if device.formation == "pointwise":
         return config
     drawn = device.values
@@ -243,7 +243,7 @@ def resolved(config: Config, device: DrawnDevice, window: Window, *, any_size: b
 
 
 def fitted(config: Config, device: DrawnDevice, scene: PointwiseScene | CoherentScene) -> Config:
-    """The same once the scene is known: the receiver's noise lies so far over its median echo."""
+    """The device for a known scene: receiver noise lies as far over its median echo as drawn."""
     receiver = config.noise.receiver
     if "receiver_db" not in device.values:
         return config

@@ -99,7 +99,7 @@ class CoherentSample(SceneSample):
         return polar.where_seen(grey, ping.window, ping.sonar)
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Array]:
-        """Of intensity_db, field: (range_bins, beams) float32 dB re 1 uPa, complex64 uPa.
+        """Layers intensity_db, float32 dB re 1 uPa, and field, complex64 uPa; (range_bins, beams).
 
         What saturates and what the device adds is in them as it is in the image.
         Raises FrameError for the field of several looks.

@@ -67,7 +67,7 @@ class SceneSample(ABC):
         return {drawn.name for drawn in self.effects if drawn.effect.artefact not in artefacts}
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Array]:
-        """Those of the layers that say what was received, with those of the drawn effects."""
+        """Layers of what was received, and those of the drawn effects."""
         return {}
 
 

@@ -86,7 +86,7 @@ class Effect:
     name: str = ""
 
     def __getstate__(self) -> dict[str, Any]:
-        """For worker processes: without `parameters`, whose annotations cannot be pickled."""
+        """The state for workers, without `parameters`, whose annotations cannot be pickled."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
     @cached_property
@@ -125,5 +125,5 @@ class DrawnEffect:
             change(expected, context, self.stream(), **self.parameters)
 
     def stream(self) -> Rng:
-        """Its random stream, from the beginning."""
+        """The random stream of the effect, from its beginning."""
         return seeds.stream(self.seed, "noise", self.name, *self.stream_names)

@@ -85,7 +85,7 @@ def _loudest(
     pixel: Int32s,
     bin_count: int,
 ) -> npt.NDArray[np.intp]:
-    """For each flat bin an echo of the object, or the ground, that has most of the bin's power.
+    """The echo of each flat bin whose object, or ground, has most of the bin's power.
 
     bins, strength, pixel: (N,) of the echoes.  Entries of bins without an echo mean nothing.
     """

@@ -105,7 +105,7 @@ class Ping:
 
     @property
     def absorption_db_per_m(self) -> float:
-        """One way."""
+        """Absorption of the water, one way, dB/m."""
         return self.water.absorption_db_per_m(self.sonar.frequency_khz)
 
     @cached_property
@@ -396,7 +396,7 @@ def blurred(planes: Float32s, kernel: Float32s, sonar: SonarSettings, *, power: 
 
 
 def _mix_half(part: Float32s, half: HalfMixing, kernel: Float32s) -> Float32s:
-    """One half of the beams mixed; the pulse is applied here where the mixing has two factors."""
+    """Mix one half of the beams; applies the pulse, too, where the mixing has two factors."""
     modes = _times(part, half.into)
     return modes if half.out_of is None else _times(along_range(modes, kernel), half.out_of)
 

@@ -31,7 +31,7 @@ class CameraLayers(Protocol):
 
 
 def camera_images(frame: Frame, names: Collection[str]) -> Mapping[str, Array]:
-    """Those of rgb and depth that are among `names`; see `CameraLayers`."""
+    """The images of rgb and depth that are among `names`; see `CameraLayers`."""
     depth_m = np.where(frame.valid, frame.depth_m, np.float32(np.nan))
     images = {"rgb": frame.rgb, "depth": depth_m}
     return {name: image for name, image in images.items() if name in names}

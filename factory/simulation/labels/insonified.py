@@ -59,7 +59,7 @@ def thin_pairs(directory: Path, sonar: SonarSettings) -> tuple[int, int]:
 
 
 def _share_of_image(shadow: Bools, row: Any, sonar: SonarSettings) -> float:
-    """The same from the shadow mask of a sample: of the sector seen, what is no shadow echoes."""
+    """The insonified share by the shadow mask of a sample: what is no shadow in the sector seen."""
     window = Window(
         sonar.projection,
         float(row["range_min_m"]),

@@ -91,7 +91,7 @@ def _linked_files(bpy: Any, folder: Path) -> list[Path]:
 
 
 def _reset_output(context: Any) -> None:
-    """One whole, plain PNG of the active view layer, whatever the file was last rendered to."""
+    """Set the output to one whole, plain PNG of the active view layer."""
     scene = context.scene
     render = scene.render
     render.engine = "CYCLES"

@@ -136,7 +136,7 @@ def _far_origin(parts: list[RawPart]) -> tuple[Float64s, float]:
 
 
 def _is_inside_out(solid: Mesh) -> bool:
-    """Whether it is closed and its faces look inwards; light comes from outside."""
+    """Whether a mesh is closed and its faces point inward; light comes from outside."""
     corners = solid.vertices.astype(np.float64)[solid.triangles]
     corners -= corners.mean(axis=(0, 1))
     a = corners[:, 0]

@@ -85,7 +85,7 @@ def _libraries(path: Path) -> list[Path]:
 
 
 def _library_paths(folder: Path, rest: str) -> list[Path]:
-    """One library whose name may have spaces, or several."""
+    """Paths of one library, whose name may have spaces, or of several."""
     whole = folder / rest.replace("\\", "/")
     names = rest.split()
     if len(names) == 1 or whole.is_file():

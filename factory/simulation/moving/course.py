@@ -61,7 +61,7 @@ class Course(Protocol):
     """The way of an object."""
 
     def at(self, time_s: float) -> Placement | None:
-        """Its placement; None while it is not there."""
+        """Placement of the object at a time; None while it is not there."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ class Moment:
     course_s: float = 0.0
 
     def later(self, delay_s: float) -> Moment:
-        """The same within one ping: objects have moved on, the sonar has not."""
+        """The moment later within one ping: objects have moved on, the sonar has not."""
         course_s = self.course_s + delay_s
         return replace(self, bodies=bodies_at(self.cast, self.frame, course_s), course_s=course_s)
 

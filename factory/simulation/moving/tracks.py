@@ -158,7 +158,7 @@ def _of_middle(position_m: list[float]) -> dict[str, Any]:
 
 
 def _rounded(value: float | None, digits: int) -> float | None:
-    """None for a number that is not known."""
+    """A rounded number; None for one that is not known."""
     if value is None or not math.isfinite(value):
         return None
     return round(value, digits)

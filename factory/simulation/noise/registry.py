@@ -213,7 +213,7 @@ def own_effects() -> list[Effect]:
 
 
 def _arrived(effect: Effect, settings: EffectSettings) -> OwnEffect:
-    """In a worker process."""
+    """Rebuild an unpickled effect of the user, and register it in this process."""
     if effect.name not in EFFECTS:
         _adopt(effect)  # it was checked where it comes from
     return OwnEffect(effect, settings)

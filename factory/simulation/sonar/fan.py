@@ -23,7 +23,7 @@ AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
 @dataclass(frozen=True, eq=False)
 class FanTable:
-    """For each fan pixel inside the sector the four polar bins around it and where between them.
+    """The four polar bins around each fan pixel of the sector, and its place between them.
 
     pixel: (P,) int32 flat fan pixels, in order.  corner: (P,) int32 flat polar bin nearest to the
     sonar and furthest left.  down, across: (P,) float32 fractions of the way to the next range bin

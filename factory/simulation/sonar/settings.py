@@ -105,7 +105,7 @@ TransferKind = Literal["linear", "power", "log", "soft_log"]
 
 @dataclass(frozen=True, config=STRICT)
 class TransferSettings:
-    """From echo level to grey value; the same curve for the clean and the noisy image.
+    """The curve from echo level to grey value, the same for the clean and the noisy image.
 
     kind: linear, power (level ** exponent), log (dynamic_range_db below full scale is black) or
         soft_log (the logarithm of one plus the intensity, in units of dynamic_range_db below full

@@ -60,7 +60,7 @@ class LitSurface:
 
     @cached_property
     def insonified(self) -> Insonified:
-        """Its echoes within `vfov_deg`; found once, when something first asks for them."""
+        """The echoes within `vfov_deg`, computed on first use."""
         return self._within(None)
 
     @cached_property

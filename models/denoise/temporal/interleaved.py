@@ -95,7 +95,7 @@ class Interleaved:
         yield from self._in_order()
 
     def close(self) -> None:
-        """Let go of the threads of a sequence that is not finished."""
+        """End the threads of a sequence that is not finished."""
         for stream in self._in_time():
             stream.close()
 

@@ -89,7 +89,7 @@ class KindFinder:
         yield from (look.shot for look in self._waiting)
 
     def _judged(self, *, is_end: bool) -> Iterator[tuple[SequenceFrame, Kind]]:
-        """Those of the waiting frames that can be judged."""
+        """The waiting frames that can be judged by now, each with its kind."""
         while self._waiting:
             look = self._waiting[0]
             kind = self._kind_of(look, is_end=is_end or not self.looks_ahead)

@@ -84,7 +84,7 @@ class AlignmentView:
 
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
-        """Of the band along x and y."""
+        """Slopes of the band along x and y."""
         along = cv2.Sobel(self.band, cv2.CV_32F, 1, 0, scale=1 / 8)
         down = cv2.Sobel(self.band, cv2.CV_32F, 0, 1, scale=1 / 8)
         return along * self.lit, down * self.lit
@@ -105,7 +105,7 @@ class AlignmentView:
 
     @cached_property
     def spectrum(self) -> Array:
-        """Of the band, faded out at the edges."""
+        """Spectrum of the band, faded out at the edges."""
         height, width = self.shape
         padded = np.zeros((cv2.getOptimalDFTSize(height), cv2.getOptimalDFTSize(width)), np.float32)
         faded: Array = np.outer(np.hanning(height), np.hanning(width)).astype(np.float32)
@@ -233,12 +233,12 @@ def reduced(grey: Array) -> Array:
 
 
 def blurred(grey: Array, sigma: float) -> Array:
-    """With a Gaussian window."""
+    """The image blurred by a Gaussian window."""
     return cv2.GaussianBlur(grey, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
 
 
 def length_of(across: Array, down: Array) -> Array:
-    """Of vectors.  OpenCV's own rounds by where the arrays lie in memory: never twice the same."""
+    """Length of vectors.  OpenCV's result depends on where the arrays lie in memory."""
     return np.sqrt(across * across + down * down)
 
 

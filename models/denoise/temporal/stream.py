@@ -192,7 +192,7 @@ class InTime:
         self.close()
 
     def close(self) -> None:
-        """Let go of the threads."""
+        """End the threads."""
         self._pool.shutdown(cancel_futures=True)
 
     def _lookahead(self) -> int:

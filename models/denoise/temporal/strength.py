@@ -150,7 +150,7 @@ class Strength:
         self._single_products += changes @ target
 
     def add_window(self, predictors: Predictors, outside: Array, same: Bools) -> None:
-        """The same for the predictors of a whole window."""
+        """Add the predictors of a whole window."""
         if np.count_nonzero(same) < _MIN_PIXELS:
             return
         target = _target(predictors, outside, same)

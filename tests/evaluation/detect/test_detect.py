@@ -17,7 +17,7 @@ from simnfnd.evaluation.detect.detector import Responses, real_motion, responses
 from simnfnd.evaluation.detect.scores import (
     Answers,
     MethodFigures,
-    auc_of,
+    count_wins,
     figures_of,
     threshold_of,
 )
@@ -183,7 +183,8 @@ def test_the_threshold_lets_so_many_alarms_through() -> None:
     ("present", "absent", "area"), [([2, 3], [0, 1], 1), ([0, 1], [2, 3], 0), ([1, 2], [1, 2], 0.5)]
 )
 def test_auc(present: list[float], absent: list[float], area: float) -> None:
-    assert auc_of(np.array(present), np.array(absent)) == area
+    pairs = len(present) * len(absent)
+    assert count_wins(np.array(present), np.array(absent)) / pairs == area
 
 
 # --- the command ----------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ FITTED_PLACES: frozenset[str] = frozenset({"tank", "harbour"})
 
 @functools.cache
 def catalogue() -> dict[str, Any]:
-    """`places.yaml`."""
+    """The content of `places.yaml`."""
     import yaml
 
     text = Path(__file__).with_name("places.yaml").read_text("utf-8")
@@ -200,7 +200,7 @@ class Ripples:
         self._level = _level(rng.uniform(*cover))
 
     def height(self, x: Float32s, y: Float32s) -> Float32s:
-        """From -1 (trough) to 1 (crest), 0 outside the patches."""
+        """Relative height from -1 (trough) to 1 (crest), 0 outside the patches."""
         phase = self._rates[0] * x + self._rates[1] * y
         phase += np.float32(self._bend_rad) * self._bend(x, y)
         crest = 1 - 2 * np.sqrt(0.02 + 0.98 * np.sin(phase / 2) ** 2)
@@ -209,7 +209,7 @@ class Ripples:
 
 
 def _level(cover: float) -> float:
-    """What a share `cover` of a unit normal field exceeds, nearly enough."""
+    """Level that about a share `cover` of a standard normal field exceeds."""
     return 1.6 * (0.5 - cover) * 2
 
 

@@ -136,7 +136,7 @@ class CameraView(NamedTuple):
 
 
 def _wander(field: Waves, travelled_m: float) -> float:
-    """It goes on with every lap, so that laps never repeat."""
+    """A random value along the path that goes on with every lap, so that laps never repeat."""
     return float(np.clip(field([travelled_m], [0])[0], -2, 2))
 
 
