@@ -198,7 +198,9 @@ def observe_moment(
     lit, scene, later_groups = _observe_scene(moment, window, config)
     share = insonified_share(scene.filled, window, sonar)
     check_share(moment.frame.ref, share, config.frames.min_insonified)
-    shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
+    # What echoes beyond vfov_deg is no shadow: the beam fades, and is not cut.
+    is_lit = scene.filled | lit.shown.hit
+    shadow = ~polar.covered(is_lit) & polar.seen_beams(window, sonar)
     layers = {
         name: lay_out_nearest(image, window, sonar)
         for name, image in truth.layer_images(config.dataset.layers, lit).items()

@@ -136,6 +136,7 @@ def test_labels_cover_what_the_image_shows(name: str, elevation_deg: float) -> N
     assert shown.sum() > 40
     assert (widened(labelled) & shown).sum() > 0.9 * shown.sum()
     assert (widened(brighter > 2) & labelled).sum() > 0.9 * labelled.sum()
+    assert not (pair.shadow & labelled).any()
 
 
 def test_what_only_sidelobes_reach_has_no_label() -> None:
