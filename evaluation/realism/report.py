@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from ...factory.common.array_types import Array
+from ...factory.common.array_types import Array, Float64s
 from ...factory.common.errors import FactoryError
 from ...factory.common.progress import progress_bar
 from ...factory.common.seeds import stream
@@ -138,7 +138,6 @@ def distances(
     Means over RESAMPLES draws.  Raises FactoryError for too few images.
     """
     import pandas as pd
-    from scipy.stats import ks_2samp, wasserstein_distance
 
     sets = {REAL: real, **simulated}
     for name, features_of_set in sets.items():
@@ -161,27 +160,36 @@ def distances(
             for name, features_of_set in simulated.items()
         }
         for name, second in {REAL: real.iloc[order[size : 2 * size]], **drawn}.items():
-            for number, feature in enumerate(features):
-                pair = [part[feature].dropna().to_numpy(float) for part in (first, second)]
-                if all(map(len, pair)):
-                    apart = ks_2samp(*pair, method="asymp").statistic
-                    sums[name][:, number] += apart, wasserstein_distance(*pair)
-                else:
-                    sums[name][:, number] = np.nan
+            sums[name] += _feature_distances(first, second, features)
     table = pd.DataFrame(
         {name: sums_of_set[0] / RESAMPLES for name, sums_of_set in sums.items()}, features
     )
     overall = {}
     for name in simulated:
         ratios = sums[name][1] / np.maximum(sums[REAL][1], 1e-9)
-        # What the simulation lacks is far away.
+        # A feature that the simulation lacks counts as far away.
         bounded = np.nan_to_num(ratios, nan=_FAR).clip(1, _FAR)
         overall[name] = float(np.exp(np.log(bounded).mean()))
     return table, overall
 
 
+def _feature_distances(
+    first: pd.DataFrame, second: pd.DataFrame, features: Sequence[str]
+) -> Float64s:
+    """(2, features) Kolmogorov-Smirnov and earth mover's distances; NaN where a set lacks one."""
+    from scipy.stats import ks_2samp, wasserstein_distance
+
+    distances_of_features = np.full((2, len(features)), np.nan)
+    for number, feature in enumerate(features):
+        pair = [part[feature].dropna().to_numpy(float) for part in (first, second)]
+        if all(map(len, pair)):
+            statistic = ks_2samp(*pair, method="asymp").statistic
+            distances_of_features[:, number] = statistic, wasserstein_distance(*pair)
+    return distances_of_features
+
+
 # Images with data in less of the sector than this say too little along the bearing.
-_LEAST = 0.25
+_LEAST_SECTOR_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -207,7 +215,7 @@ class Collection:
     notes: tuple[str, ...] = ()
 
     def at_most(self, limit: int | None) -> Collection:
-        """Evenly spread ones, when there are more than `limit`."""
+        """The collection, of which `limit` evenly spread images are kept where it has more."""
         return Collection(self.name, tuple(evenly(self.sources, limit)), self.notes)
 
 
@@ -242,7 +250,7 @@ def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[
 
 
 def real_images(folder: str | Path) -> Collection:
-    """See `open_real`."""
+    """The real images at a path; see `open_real`."""
     shots, notes = open_real(folder)
     sources = [ReadableImage(shot.known, shot) for shot in shots if shot.known]
     return Collection(Path(folder).expanduser().resolve().name, tuple(sources), notes)
@@ -258,9 +266,9 @@ def open_dataset(folder: str | Path, split: Split) -> Collection:
         if geometry is None:
             raise FactoryError(f"sim={root}: {item.shard} does not say how its images are laid out")
         first, last = geometry.data_fraction
-        if last - first >= _LEAST:
+        if last - first >= _LEAST_SECTOR_SHARE:
             sources.append(ReadableImage(geometry, item.place))
-    narrow = f"the camera saw less than {_LEAST:.0%} of the sector"
+    narrow = f"the camera saw less than {_LEAST_SECTOR_SHARE:.0%} of the sector"
     if not sources:
         raise FactoryError(f"sim={root}: {narrow} in every image; use a narrower sonar.hfov_deg")
     notes = [f"{len(sources)} noisy images of {root.name}, {sources[0].geometry.layout}"]

@@ -7,6 +7,7 @@ import numpy as np
 from ...factory.common.array_types import Float32s
 
 Boxes = Float32s
+"""(N, 4): left, top, right, bottom, pixels."""
 
 
 def no_boxes() -> Boxes:
@@ -15,7 +16,7 @@ def no_boxes() -> Boxes:
 
 
 def areas(boxes: Boxes) -> Float32s:
-    """(N,) px²; 0 for a box without extent."""
+    """(N,) areas in px²; 0 for a box without extent."""
     sides = np.maximum(boxes[:, 2:] - boxes[:, :2], 0)
     return np.asarray(sides[:, 0] * sides[:, 1], np.float32)
 
@@ -29,7 +30,7 @@ def overlaps(first: Boxes, second: Boxes) -> Float32s:
 
 
 def intersection_over_union(first: Boxes, second: Boxes) -> Float32s:
-    """(N, M) in 0..1."""
+    """(N, M) area that two boxes share over the area that they cover together, 0..1."""
     shared = overlaps(first, second)
     union = areas(first)[:, None] + areas(second)[None] - shared
     return np.asarray(shared / np.maximum(union, 1e-6), np.float32)

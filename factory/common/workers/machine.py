@@ -11,13 +11,13 @@ from pathlib import Path
 from ..errors import FactoryError
 from ..progress import stage
 
-# Measured of 48: what a worker costs the process that starts it, pipes and threads, and what
-# else a run opens or loads.
+# Measured with 48 workers: what each costs the process that starts it (pipes and threads), and what
+# a run opens and loads beside them.
 _FILES_A_WORKER = 8
 _OTHER_FILES = 40
 _BYTES_A_WORKER = 128 << 20
 _OTHER_BYTES = 512 << 20
-# Of malloc.h of the GNU C library.
+# Options of `mallopt` in malloc.h of the GNU C library.
 _TRIM_THRESHOLD = -1
 _MMAP_THRESHOLD = -3
 _KEPT_BYTES = 1 << 28
@@ -45,7 +45,7 @@ def keep_freed_memory() -> None:
 
     Every pair needs the same few arrays of some megabytes.  Asking the system for their pages again
     and again costs a third of the time of a pair (docs/speed.md).  What is kept is at most what one
-    pair needed.  Of the GNU C library alone.
+    pair needed.  Other C libraries have no such option.
     """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):  # another C library

@@ -12,13 +12,16 @@ from ..frames.frame import Surroundings
 from ..meshes.triangle_mesh import rotation
 from ..scenes.moving import Waypoints
 
-_STRAIGHT_RAD_S = 1e-6
-_CLEAR_M = 0.02
-_STEP_S = 0.01
+_STRAIGHT_RAD_S = 1e-6  # an object that turns less goes straight
+_CLEAR_M = 0.02  # between an object and the ground
+_STEP_S = 0.01  # between two places that give a velocity
 
 
 class Placement(NamedTuple):
-    """position_m: (3,) in world axes.  world_from_own: (3, 3), own axes x ahead, y left, z up."""
+    """Where an object is and how it is turned.
+
+    position_m: (3,) in world axes.  world_from_own: (3, 3), own axes x ahead, y left, z up.
+    """
 
     position_m: Float64s
     world_from_own: Float64s
@@ -48,7 +51,8 @@ class Origin:
         last = len(ground) - 1.001
         column = min(max((x - self.position_m[0]) / step_m + middle, 0.0), last)
         row = min(max((y - self.position_m[1]) / step_m + middle, 0.0), last)
-        left, top = int(column), int(row)
+        left = int(column)
+        top = int(row)
         right_share = column - left
         lower_share = row - top
         cell = ground[top : top + 2, left : left + 2].astype(np.float64)
@@ -58,7 +62,7 @@ class Origin:
 
 
 class Course(Protocol):
-    """The way of an object."""
+    """The course of an object: its placement at any time."""
 
     def at(self, time_s: float) -> Placement | None:
         """Placement of the object at a time; None while it is not there."""
@@ -155,7 +159,8 @@ def velocity_m_s(course: Course, time_s: float) -> Float64s:
     before = course.at(time_s - _STEP_S)
     after = course.at(time_s + _STEP_S)
     now = course.at(time_s)
-    first, last = before or now, after or now
+    first = before or now
+    last = after or now
     if first is None or last is None:
         return np.full(3, np.nan)
     span_s = _STEP_S * ((before is not None) + (after is not None))

@@ -278,6 +278,19 @@ class Terrain:
         azimuths_rad, elevations_rad: field of view in world directions.  shape: rows (outward) and
         columns (across) of the grid.
         """
+        radius = self._view_radii(eye, azimuths_rad, elevations_rad, shape)
+        heading = np.linspace(*azimuths_rad, shape[1])
+        x = eye[0] + radius * np.cos(heading)
+        y = eye[1] + radius * np.sin(heading)
+        return self._surface(x.astype(np.float32), y.astype(np.float32))
+
+    def _view_radii(
+        self, eye: Float64s, azimuths_rad: Range, elevations_rad: Range, shape: tuple[int, int]
+    ) -> Float64s:
+        """(R, C) level distances from the eye, close together where the view shows much ground.
+
+        They are computed for a quarter of the columns and interpolated between these.
+        """
         rows, columns = shape
         coarse = max(columns // 4, 8)
         ranges = np.geomspace(0.15, FAR_M, 160)
@@ -298,11 +311,9 @@ class Terrain:
         )
         between = np.clip((np.arange(columns) + 0.5) * coarse / columns - 0.5, 0, coarse - 1)
         low = np.minimum(between.astype(np.int64), coarse - 2)
-        radius = np.exp(log_r[:, low] + (between - low) * (log_r[:, low + 1] - log_r[:, low]))
-        heading = np.linspace(*azimuths_rad, columns)
-        x = eye[0] + radius * np.cos(heading)
-        y = eye[1] + radius * np.sin(heading)
-        return self._surface(x.astype(np.float32), y.astype(np.float32))
+        upper_share = between - low
+        log_radius = log_r[:, low] + upper_share * (log_r[:, low + 1] - log_r[:, low])
+        return np.asarray(np.exp(log_radius))
 
     def _surface(self, x: Float32s, y: Float32s) -> Ground:
         """The ground at (R, C) places."""
