@@ -94,18 +94,14 @@ def _linked(path: str, _modified_ns: int) -> tuple[list[str], list[str]]:
     return needed, named
 
 
-def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[MeshPart, ...]:
-    """The parts of a file, in metres; see `read_model`."""
-    return read_model(path, key, scale, largest_m, "stated").parts
-
-
 def read_model(
     path: Path, key: str, scale: float, largest_m: float, up: Up | AsStated = "auto"
 ) -> Model:
     """The parts of a file, in metres.
 
-    key: of the configuration, for errors; `scale` stands beside it.  largest_m: what is longer is
-    taken for a mesh in millimetres.  up: see `Up`.  Raises FactoryError.
+    key: the key of the configuration that errors name; `scale` stands beside it.
+    largest_m: a longer mesh is taken for one in millimetres.
+    up: see `Up`.  Raises FactoryError.
     """
     files_of(path, key)
     try:

@@ -18,7 +18,7 @@ from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.meshes.mesh_loading import MOST_PARTS
-from simnfnd.factory.simulation.meshes.mesh_parts import files_of, read_model, read_parts
+from simnfnd.factory.simulation.meshes.mesh_parts import files_of, read_model
 from simnfnd.factory.simulation.meshes.triangle_mesh import box
 from simnfnd.factory.simulation.scenes import open_reader
 from simnfnd.factory.simulation.scenes.poses import trajectory
@@ -33,7 +33,8 @@ SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 
 
 def parts_of(path: Path) -> dict[str, Any]:
-    return {part.name: part.mesh for part in read_parts(path, "scenes.file", 1, 3000)}
+    model = read_model(path, "scenes.file", 1, 3000, "stated")
+    return {part.name: part.mesh for part in model.parts}
 
 
 def write_image(path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from simnfnd.factory.common.array_types import Array
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.simulation.meshes.mesh_parts import read_model, read_parts
+from simnfnd.factory.simulation.meshes.mesh_parts import read_model
 from simnfnd.factory.simulation.meshes.painted import linear_albedo, unit_colours
 
 Document = dict[str, Any]
@@ -70,7 +70,7 @@ class Glb:
 
 
 def parts_of(path: Path) -> list[Any]:
-    return [part.mesh for part in read_parts(path, "scenes.file", 1, 3000)]
+    return [part.mesh for part in read_model(path, "scenes.file", 1, 3000, "stated").parts]
 
 
 def extent(mesh: Any) -> list[float]:

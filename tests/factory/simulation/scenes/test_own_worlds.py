@@ -25,7 +25,7 @@ from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping, plain
 from simnfnd.factory.simulation.imaging.settings import CoherentSettings
 from simnfnd.factory.simulation.meshes.camera import Objects, ZBuffer, centred, oriented, pose
-from simnfnd.factory.simulation.meshes.mesh_parts import read_parts
+from simnfnd.factory.simulation.meshes.mesh_parts import read_model
 from simnfnd.factory.simulation.meshes.triangle_mesh import box, join, sphere
 from simnfnd.factory.simulation.pairs.pair_maker import observe
 from simnfnd.factory.simulation.render import open_renderer
@@ -141,7 +141,7 @@ def test_own_objects_lie_in_every_place_and_leave_the_rest_as_it_was(folder: Pat
 
 def test_a_world_is_what_rays_meet(folder: Path) -> None:
     first, second = frames(world(folder))
-    parts = read_parts(folder / "world.glb", "scenes.file", 1, 100)
+    parts = read_model(folder / "world.glb", "scenes.file", 1, 100, "stated").parts
     assert [part.name for part in parts] == ["ground", "valve.1", "post"]
     scene = open3d.t.geometry.RaycastingScene()
     for part in parts:
@@ -408,8 +408,8 @@ def test_what_is_wrong_is_one_line(bad: Path, case: str) -> None:
 
 def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
     write_mesh(folder / "inside.ply", sphere(2), flip=True)
-    (right,) = read_parts(folder / "ball.ply", "key.file", 1, 10)
-    (turned,) = read_parts(folder / "inside.ply", "key.file", 1, 10)
+    (right,) = read_model(folder / "ball.ply", "key.file", 1, 10, "stated").parts
+    (turned,) = read_model(folder / "inside.ply", "key.file", 1, 10, "stated").parts
     actual = open_reader(own(folder, "inside.ply, class: ball").scenes).discover()
     assert actual.notes == ("inside.ply: inside out, turned: inside",)
     assert not open_reader(own(folder, "ball.ply, class: ball").scenes).discover().notes
@@ -424,7 +424,7 @@ def test_inside_out_is_turned_and_textures_are_colours(folder: Path) -> None:
         "mtllib sheet.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
         "usemtl a\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
     )
-    (sheet,) = read_parts(folder / "sheet.obj", "key.file", 1, 10)
+    (sheet,) = read_model(folder / "sheet.obj", "key.file", 1, 10, "stated").parts
     x = sheet.mesh.vertices[:, 0]
     red = sheet.mesh.colours[:, 0]
     assert (red[x > 0.55] > 0.9).all()
