@@ -6,6 +6,7 @@ errors answer at once.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -95,7 +96,7 @@ def _named(words: Sequence[str], first_key: str | None, rest_key: str | None = N
     plain = [
         word
         for word in words
-        if not word.startswith("-") and ("=" not in word or Path(word).exists())
+        if not word.startswith("-") and ("=" not in word or os.path.exists(word))
     ]
     overrides = [word for word in words if word not in plain]
     if plain and first_key is not None:
@@ -112,7 +113,7 @@ def _transfer_words(words: Sequence[str]) -> list[str]:
     folders = [
         word
         for word in words
-        if not word.startswith("-") and ("=" not in word or Path(word).exists())
+        if not word.startswith("-") and ("=" not in word or os.path.exists(word))
     ]
     overrides = [word for word in words if word not in folders and word != "--quick"]
     if "--quick" in words:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import gc
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -86,7 +87,7 @@ def find(words: Sequence[str]) -> _Command:
     if name in VERBS:
         return _Command(name, VERBS[name], rest)
     word = name.rpartition(" ")[2]
-    if has_second_word and ("/" in word or Path(word).exists()):
+    if has_second_word and ("/" in word or os.path.exists(word)):
         raise FactoryError(f"{word}: no such verb; {_verb_for(words[0], Path(word))}")
     if "=" in word:
         raise FactoryError(
@@ -106,7 +107,7 @@ def find(words: Sequence[str]) -> _Command:
 
 def _verb_for(verb: str, path: Path) -> str:
     """What was meant by a path in the place of a verb's verb."""
-    is_recording = path.exists() and not (path / _MANIFEST).is_file()
+    is_recording = os.path.exists(path) and not os.path.isfile(path / _MANIFEST)
     meant = f"{verb} real {path}" if is_recording else f"{verb} dataset={path}"
     return f"did you mean `simnfnd {meant}`?"
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...factory.common.errors import FactoryError
+from ...factory.common.files import real_path
 from ...models import WEIGHTS_NAME
 from ..filters import Baseline, Parameters, chosen
 from ..metrics.measure import Levels
@@ -160,6 +161,6 @@ def _weights(path: Path, key: str) -> Path:
     from ...models.pretrained import find_weights
 
     try:
-        return find_weights(path).resolve()
+        return real_path(find_weights(path))
     except FactoryError as error:
         raise FactoryError(f"{key}: {error}") from error

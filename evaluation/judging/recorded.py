@@ -19,6 +19,7 @@ import numpy as np
 
 from ...factory.common.array_types import Bools, Floats
 from ...factory.common.errors import FactoryError
+from ...factory.common.files import real_path
 from ...factory.dataset import PairDataset
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.recordings import DATASET, IMAGE_SUFFIXES, dataset_of, kind_of, open_recording
@@ -113,7 +114,7 @@ def open_input(
         raise FactoryError(f"{key}={root}: no such folder or recording")
     elif (root / "Images").is_dir() or (root / GEOMETRY_FILE).is_file():
         shots, notes = _with_geometry(root)
-        stretches = [Stretch(root.resolve().name, shots)]
+        stretches = [Stretch(real_path(root).name, shots)]
     else:
         stretches = _below(root)
     if not stretches:
@@ -253,7 +254,7 @@ def _below(root: Path) -> list[Stretch]:
         images = in_order([path for path, kind in kinds.items() if kind == "images"])
         shots = tuple(RecordedImage(path, 0, path.name) for path in images)
         if shots:
-            stretches.append(Stretch("/".join(parts) or root.resolve().name, shots))
+            stretches.append(Stretch("/".join(parts) or real_path(root).name, shots))
         for path, kind in kinds.items():
             if kind not in (None, "images"):
                 stretches.append(_recording(path, path.relative_to(root).as_posix()))

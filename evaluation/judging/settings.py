@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
+from ...factory.common.files import real_path
 from ...factory.common.settings import STRICT
 
 Count = Annotated[int, Field(ge=1)]
@@ -71,7 +72,7 @@ class EvaluationSettings(ReportSettings):
     @property
     def name(self) -> str:
         """Name of the dataset: that of its folder."""
-        return Path(self.dataset.dir).resolve().name
+        return real_path(Path(self.dataset.dir)).name
 
     @property
     def folder(self) -> Path:
@@ -98,7 +99,7 @@ class RealSettings(ReportSettings):
     @property
     def name(self) -> str:
         """Name of what is judged."""
-        return Path(self.real).expanduser().resolve().name
+        return real_path(Path(self.real).expanduser()).name
 
     @property
     def folder(self) -> Path:
@@ -134,7 +135,7 @@ class DetectSettings(ReportSettings):
     @property
     def folder(self) -> Path:
         """Where the report goes."""
-        name = Path(self.recordings[0]).expanduser().resolve().name
+        name = real_path(Path(self.recordings[0]).expanduser()).name
         return Path(self.out or Path("outputs", "evaluation", f"{name}-detect"))
 
 
@@ -183,7 +184,7 @@ class TransferSettings:
     @property
     def name(self) -> str:
         """Name of the real images, or of the dataset where there are none."""
-        return Path(self.real or self.dataset.dir or "dataset").expanduser().resolve().name
+        return real_path(Path(self.real or self.dataset.dir or "dataset").expanduser()).name
 
     @property
     def folder(self) -> Path:

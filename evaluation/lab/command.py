@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -84,14 +85,15 @@ def read_words(words: Sequence[str]) -> PageSubject:
 
 def _is_setting(word: str) -> bool:
     """Whether a word is KEY=VALUE, and not the name of a file or folder that has an `=`."""
-    return "=" in word and not Path(word).expanduser().exists()
+    # Unlike Path.exists, os.path.exists takes a setting that is longer than any name.
+    return "=" in word and not os.path.exists(Path(word).expanduser())
 
 
 def _kind_of(word: str, devices: Sequence[str]) -> str:
     path = Path(word).expanduser()
-    if (path / MANIFEST_NAME).is_file():
+    if os.path.isfile(path / MANIFEST_NAME):
         return "dataset"
-    if path.exists():
+    if os.path.exists(path):
         return "image"
     if word in devices:
         return "device"

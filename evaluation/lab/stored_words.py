@@ -59,7 +59,6 @@ def _choices(config: FactoryConfig) -> list[str]:
         "devices": "fixed" if config.devices is None else "any_sonar",
     }
     words = [f"{group}={choice}" for group, choice in choices.items()]
-    words = [f"{group}={choice}" for group, choice in choices.items()]
     # These keys have no default, so the first composition needs them already.
     for key in ("root", "file", "intrinsics"):
         if (value := getattr(config.scenes, key, None)) is not None:

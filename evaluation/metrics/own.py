@@ -36,7 +36,7 @@ class OwnMetric:
 
 
 def register_metric(metric: OwnMetric) -> None:
-    """Make a metric known in this process; worker processes know those of packages alone.
+    """Make a metric known in this process; `evaluate` then needs workers=1.
 
     Raises ValueError for a metric that declares or does something wrong.
     """
@@ -62,6 +62,18 @@ def own_metrics() -> list[OwnMetric]:
             )
         metrics.append(metric)
     return metrics
+
+
+def refuse_metrics_of_scripts(workers: int | str) -> None:
+    """Raise FactoryError for a metric that a script registered, where worker processes measure."""
+    if workers == 1:
+        return
+    for name in extensions.names("metric"):
+        if not extensions.source_of("metric", name).package:
+            raise FactoryError(
+                f"metric {name}: is registered by a script, and worker processes know the metrics "
+                "of packages alone; set workers=1, or name it as an entry point of a package"
+            )
 
 
 def own_figures(image: Grey, pair: PairImages) -> Figures:

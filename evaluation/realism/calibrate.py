@@ -15,7 +15,7 @@ import yaml
 from pydantic import TypeAdapter
 
 from ...factory.common.errors import FactoryError, FrameError
-from ...factory.common.files import explain_os_errors
+from ...factory.common.files import explain_os_errors, real_path
 from ...factory.common.progress import progress_bar
 from ...factory.common.seeds import spawn_key
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -97,7 +97,7 @@ def usage(settings: FitSettings) -> str:
 
 def _write(settings: FitSettings, config: Mapping[str, Any], said: str) -> Path:
     """experiment/<name>.yaml in the folder of the fit.  FactoryError where it cannot be written."""
-    real = Path(settings.real).resolve().name
+    real = real_path(Path(settings.real)).name
     story = (
         f"# @package _global_\n# simnfnd make {usage(settings)}\n#\n# Fitted to {real}: {said}\n"
         f"# simnfnd evaluate fit {shlex.quote(real)} name={settings.name} "

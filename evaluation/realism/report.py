@@ -14,6 +14,7 @@ import numpy as np
 
 from ...factory.common.array_types import Array, Float64s
 from ...factory.common.errors import FactoryError
+from ...factory.common.files import real_path
 from ...factory.common.progress import progress_bar
 from ...factory.common.seeds import stream
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -253,7 +254,7 @@ def real_images(folder: str | Path) -> Collection:
     """The real images at a path; see `open_real`."""
     shots, notes = open_real(folder)
     sources = [ReadableImage(shot.known, shot) for shot in shots if shot.known]
-    return Collection(Path(folder).expanduser().resolve().name, tuple(sources), notes)
+    return Collection(real_path(Path(folder).expanduser()).name, tuple(sources), notes)
 
 
 def open_dataset(folder: str | Path, split: Split) -> Collection:
@@ -274,4 +275,4 @@ def open_dataset(folder: str | Path, split: Split) -> Collection:
     notes = [f"{len(sources)} noisy images of {root.name}, {sources[0].geometry.layout}"]
     if left := len(items) - len(sources):
         notes.append(f"{left} left out: {narrow}")
-    return Collection(root.resolve().name, tuple(sources), tuple(notes))
+    return Collection(real_path(root).name, tuple(sources), tuple(notes))

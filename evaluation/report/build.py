@@ -26,6 +26,7 @@ from ..judging.pairs import (
 )
 from ..judging.runner import SECONDS, Measured, Subject, run
 from ..judging.settings import EvaluationSettings
+from ..metrics.own import refuse_metrics_of_scripts
 from . import tables
 from .content import best_forms, content_of, shown_rows, verdict
 from .document import ComparedImages, Section, write_report
@@ -117,6 +118,7 @@ def measure(
 
     Raises FactoryError for a dataset that cannot be read.
     """
+    refuse_metrics_of_scripts(settings.workers)
     pair_images.cache_clear()  # files may have changed since the last report of this process
     pairs: dict[int, Subject] = dict(enumerate(items))
     with progress_bar(total=len(methods) * len(items), unit="image", desc="measuring") as bar:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +13,14 @@ import cv2
 import numpy as np
 
 from ...factory.common.errors import FactoryError
+from ...factory.common.files import real_path
 from ...models.detection.boxes import Boxes, no_boxes
 from ...models.detection.images import LabelledImage
 
 _NAMES = ("annotations.json", "_annotations.coco.json", "instances.json")
 _MOST_SIDE_PX = 20_000
+# Larger numbers are no places in an image; NaN is not smaller, either.
+_FARTHEST_PX = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +89,7 @@ def read_coco(
     if sum(len(image.labelled.boxes) for image in images) == 0:
         raise FactoryError(f"{path}: has no box of a class that is not ignored")
     has_groups = all("group" in entry for entry in content["images"])
-    return RealImages(root.resolve().name, tuple(images), classes, has_groups)
+    return RealImages(real_path(root).name, tuple(images), classes, has_groups)
 
 
 def _annotations_path(root: Path, file_name: str | None) -> Path:
@@ -222,7 +225,13 @@ def _find_image(root: Path, annotations: Path, name: str) -> Path | None:
     """
     split = annotations.stem.removeprefix("instances_")
     folders = [root / "images", root, annotations.parent, root / "images" / split, root / split]
-    return next((folder / name for folder in folders if (folder / name).is_file()), None)
+    inside = os.path.abspath(root)
+    for folder in folders:
+        path = Path(os.path.abspath(folder / name))
+        # What a file of somebody else names elsewhere is none of the report's business.
+        if path.is_relative_to(inside) and os.path.isfile(path):
+            return path
+    return None
 
 
 def _as_boxes(corners: Sequence[Sequence[float]]) -> Boxes:
@@ -234,4 +243,6 @@ def _is_whole(value: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return abs(value) <= _FARTHEST_PX

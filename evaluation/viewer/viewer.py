@@ -15,7 +15,7 @@ from PIL import Image
 
 from ...factory.common.array_types import Array, Floats, UInt8s
 from ...factory.common.errors import FactoryError
-from ...factory.common.files import write_atomically
+from ...factory.common.files import real_path, write_atomically
 from ...factory.dataset.layout import optional_layers
 from ...factory.dataset.pair_dataset import PairDataset
 from ...factory.dataset.preview import Shown as OnSheet
@@ -141,7 +141,7 @@ class ShownDataset:
 
         Raises FactoryError when it is no dataset, or has no such recording.
         """
-        self.title = f"{folder.resolve().name} {recording}".rstrip()
+        self.title = f"{real_path(folder).name} {recording}".rstrip()
         with reading(PairDataset(folder, "all").paths[0]) as file:
             self.layers = ("noisy", "clean", "shadow", *optional_layers(file))
         # Checked a moment ago.
@@ -187,7 +187,7 @@ class ShownRecording:
 
     def __init__(self, path: Path, after: Path | None = None) -> None:
         """Raises FactoryError when one cannot be read."""
-        self.title = path.resolve().name
+        self.title = real_path(path).name
         self.layers: tuple[str, ...] = ("before", "after") if after else ("recorded",)
         self._recordings = [_opened(source) for source in (path, after) if source is not None]
 

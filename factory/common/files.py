@@ -103,6 +103,14 @@ def check_writable(folder: Path, key: str) -> None:
             probe.unlink(missing_ok=True)
 
 
+def real_path(path: Path) -> Path:
+    """The absolute path, links followed; of links in a circle the last one that can be.
+
+    Path.resolve raises RuntimeError there.
+    """
+    return Path(os.path.realpath(path))
+
+
 def sha256_of(path: Path) -> str:
     """Hex digest of a file's content, read in pieces."""
     with open(path, "rb") as file:

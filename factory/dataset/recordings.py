@@ -105,7 +105,7 @@ class DatasetRecordings:
                 name = f"{record['location'].decode()}/{record['scene'].decode()}".lstrip("/")
                 self._rows.setdefault(name, []).append(_row(sample, record))
         for rows in self._rows.values():
-            rows.sort(key=lambda row: (row.time_s if np.isfinite(row.time_s) else 0.0, row.frame))
+            rows.sort(key=_order)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -174,6 +174,13 @@ class DatasetRecordings:
             truth=others,
             tracks=tuple(row.tracks for row in rows),
         )
+
+
+def _order(row: _Row) -> tuple[float, int, str]:
+    """By time, then by the number of the frame, then by its name."""
+    time_s = row.time_s if np.isfinite(row.time_s) else 0.0
+    number = -1 if row.number is None else row.number
+    return time_s, number, row.frame
 
 
 def _row(sample: int, record: np.void) -> _Row:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ...factory.common.errors import FactoryError
-from ...factory.common.files import check_writable, sha256_of
+from ...factory.common.files import check_writable, real_path, sha256_of
 from ...factory.production.cli import Parser
 from ..pretrained import find_weights
 from ..pretrained.learned_files import KEY as LEARNED_FROM
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str]) -> int:
     options = _parsed(arguments)
     out = Path(options.out).expanduser()
     start = find_weights(options.weights)
-    if out.exists() and out.resolve() == start.resolve():
+    if out.exists() and real_path(out) == real_path(start):
         raise FactoryError(f"--out {out}: would replace the weights to begin with")
     check_writable(out.parent, "--out")
     geometries = Geometries(options.geometry)

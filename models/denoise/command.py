@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ...factory import __version__
 from ...factory.common.errors import FactoryError
-from ...factory.common.files import check_writable, remove_stale_temporaries, sha256_of
+from ...factory.common.files import check_writable, real_path, remove_stale_temporaries, sha256_of
 from ...factory.common.progress import progress_bar
 from ...factory.common.workers.machine import keep_freed_memory
 from ...factory.production.cli import Parser
@@ -225,7 +225,7 @@ def _check_video(video: Path | None, items: Sequence[InputFile], out: Path) -> N
     if video is None:
         return
     others = [item.source for item in items] + [out / item.relative for item in items]
-    if video.resolve() in {path.resolve() for path in others}:
+    if real_path(video) in {real_path(path) for path in others}:
         raise FactoryError(f"--compare {video}: is an input or a result; give another name")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError
-from ...factory.common.files import shortened
+from ...factory.common.files import real_path, shortened
 from ...factory.dataset.fan_geometry import FanGeometry
 from . import DATASET, is_bag_folder, kind_of, refuse_absent, suffixes_known
 from .arrays import is_shard_file, is_table
@@ -67,7 +67,7 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
     the same as another.
     """
     items = {
-        (item.relative, item.source.resolve()): item
+        (item.relative, real_path(item.source)): item
         for path in inputs
         for item in _of_input(path, out)
     }
@@ -75,7 +75,7 @@ def find_items(inputs: Sequence[Path], out: Path, *, compare: bool = False) -> l
     written: dict[Path, InputFile] = {}
     for item in items.values():
         for relative in (item.relative, item.compared) if compare else (item.relative,):
-            path = (out / relative).resolve()
+            path = real_path(out / relative)
             first_item = written.setdefault(path, item)
             if first_item is not item:
                 raise FactoryError(
@@ -135,7 +135,7 @@ def _of_input(path: Path, out: Path) -> list[InputFile]:
         return [InputFile(path, Path(path.name))]
     refuse_absent(path)
     if path.is_dir() and is_bag_folder(path):
-        return [InputFile(path, Path(path.resolve().name))]
+        return [InputFile(path, Path(real_path(path).name))]
     if path.is_dir():
         # These load h5py, which a single image can do without.
         from ...factory.dataset import PairDataset
@@ -181,7 +181,7 @@ def items_below(folder: Path, out: Path) -> list[InputFile]:
     return [
         _item(file, folder)
         for file in sorted([*bags, *files])
-        if not file.resolve().is_relative_to(out.resolve())
+        if not real_path(file).is_relative_to(real_path(out))
     ]
 
 

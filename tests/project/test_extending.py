@@ -25,7 +25,14 @@ import simnfnd
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.metrics import own
-from simnfnd.extensions import register_effect, register_method, register_reader
+from simnfnd.extensions import (
+    FactoryError,
+    OwnMetric,
+    register_effect,
+    register_method,
+    register_metric,
+    register_reader,
+)
 from simnfnd.factory.common import extensions
 from simnfnd.factory.simulation.noise import registry
 from simnfnd.factory.simulation.noise.registry import EFFECTS
@@ -262,6 +269,14 @@ def test_what_a_script_defines_itself_is_refused_by_workers(site: Path, tmp_path
     message = run_python(tmp_path / "nothing", tmp_path, code)
     assert "effect drifting_snow: is defined in the script or notebook itself" in message
     assert "4" in message.splitlines()
+
+
+def test_a_metric_of_a_script_needs_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extensions, "_registered", {})
+    register_metric(OwnMetric("brightness", lambda image, pair: float(image.mean())))
+    own.refuse_metrics_of_scripts(1)
+    with pytest.raises(FactoryError, match=r"metric brightness: .*workers=1"):
+        own.refuse_metrics_of_scripts("auto")
 
 
 def test_names_that_are_taken_or_unusable_are_refused() -> None:

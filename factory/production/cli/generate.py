@@ -53,6 +53,8 @@ if TYPE_CHECKING:
     from ..scheduler.results import RunReport
 
 PRINTING = RunReporter()
+# Of the cache's folder.
+_DIGESTS_NAME = "input-digests.json"
 # Nobody wants images of which a smaller share is lit.
 _LEAST_LIT = 0.01
 _WHOLE_SECTOR_SHARE = 0.98
@@ -180,7 +182,8 @@ def job_of(
     tasks = plan_shards(splits, *plan_options)
     if has_input_files(config):
         with stage_if_slow("comparing the frames' files", tell=reporter.stage):
-            tasks = with_inputs(tasks)
+            table_path = config.cache.folder / _DIGESTS_NAME if config.cache.enabled else None
+            tasks = with_inputs(tasks, table_path)
     counts = [(split, sum(t.samples for t in tasks if t.split == split)) for split in splits]
     pairs = " and ".join(f"{count} {split}" for split, count in counts)
     scenes = len({(ref.location, ref.scene) for ref in frames})

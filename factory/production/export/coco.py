@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +32,9 @@ def write_coco(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> 
     Raises FactoryError for a dataset without labels.
     """
     exported = survey_objects(pairs, selection)
+    ids = IdCounters()
     for split in pairs.splits:
-        annotations = _SplitAnnotations(pairs, exported)
+        annotations = _SplitAnnotations(pairs, exported, ids)
         for image in write_labelled_images(pairs, folder, split, exported):
             annotations.add(image)
         write_annotations(annotations.document(split), folder, split)
@@ -39,10 +43,25 @@ def write_coco(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> 
     return exported.summarize(len(pairs))
 
 
-class _SplitAnnotations:
-    """The images and annotations of one split, filled image by image; ids count from 1."""
+def _counter() -> Iterator[int]:
+    return count(1)
 
-    def __init__(self, pairs: PairDataset, exported: ExportedObjects) -> None:
+
+@dataclass(frozen=True)
+class IdCounters:
+    """The next id of each kind, from 1; no id comes twice in the splits of an export."""
+
+    videos: Iterator[int] = field(default_factory=_counter)
+    images: Iterator[int] = field(default_factory=_counter)
+    annotations: Iterator[int] = field(default_factory=_counter)
+    tracks: Iterator[int] = field(default_factory=_counter)
+
+
+class _SplitAnnotations:
+    """The images and annotations of one split, filled image by image."""
+
+    def __init__(self, pairs: PairDataset, exported: ExportedObjects, ids: IdCounters) -> None:
+        self._ids = ids
         self._height, self._width = pairs.shape
         self._classes = exported.classes
         self._images: list[dict[str, Any]] = []
@@ -50,7 +69,7 @@ class _SplitAnnotations:
 
     def add(self, image: LabelledImage) -> None:
         """Add an image and its objects."""
-        image_id = len(self._images) + 1
+        image_id = next(self._ids.images)
         image_entry = {
             "id": image_id,
             "file_name": f"{image.key}.png",
@@ -63,7 +82,7 @@ class _SplitAnnotations:
 
     def _annotation(self, shown: VisibleObject, image_id: int) -> dict[str, Any]:
         return {
-            "id": len(self._annotations) + 1,
+            "id": next(self._ids.annotations),
             "image_id": image_id,
             "category_id": self._classes.number(shown.class_name),
             "bbox": shown.box,

@@ -95,15 +95,16 @@ def _row_of(
     """A row of a Parquet file: column -> value."""
     row: dict[str, Any] = {}
     if exported is not None:
-        row["objects"] = [
-            {
-                "bbox": list(shown.box),
-                "category": exported.classes.number(shown.class_name) - 1,
-                "area": shown.area_px,
-            }
+        objects = [
+            shown
             for shown in visible_objects(sample, pairs, exported.selection)
             if exported.has_room_for(shown)
         ]
+        row["objects"] = {
+            "bbox": [list(shown.box) for shown in objects],
+            "category": [exported.classes.number(shown.class_name) - 1 for shown in objects],
+            "area": [shown.area_px for shown in objects],
+        }
     for layer, image in sample.images.items():
         if fits_png(image.dtype):
             row[layer] = {"bytes": encode_png(image), "path": f"{sample.key}.{layer}.png"}
@@ -156,20 +157,27 @@ def _image_column(pairs: PairDataset, layer: str) -> _Column:
 
 
 def _object_column(classes: ClassList) -> _Column:
-    """Boxes, classes and areas of the objects in an image."""
+    """Lists of the boxes, classes and areas of the objects in an image.
+
+    One table of lists, as detection datasets of the hub have it.  The name `Sequence` is known to
+    all versions of `datasets`, `List` to those since 4.0.
+    """
     import pyarrow
 
     number = pyarrow.int32()
-    object_fields = {"bbox": pyarrow.list_(number), "category": pyarrow.int64(), "area": number}
-    arrow_type = pyarrow.list_(pyarrow.struct(list(object_fields.items())))
-
+    lists = {
+        "bbox": pyarrow.list_(pyarrow.list_(number)),
+        "category": pyarrow.list_(pyarrow.int64()),
+        "area": pyarrow.list_(number),
+    }
     integer = {"_type": "Value", "dtype": "int32"}
     features = {
-        "bbox": {"_type": "List", "feature": integer},
+        "bbox": {"_type": "Sequence", "feature": integer, "length": -1},
         "category": {"_type": "ClassLabel", "names": list(classes.names)},
         "area": integer,
     }
-    return _Column(arrow_type, {"_type": "List", "feature": features})
+    column_feature = {"_type": "Sequence", "feature": features, "length": -1}
+    return _Column(pyarrow.struct(list(lists.items())), column_feature)
 
 
 def _value_column(dtype: np.dtype[np.generic]) -> _Column:
@@ -195,8 +203,9 @@ pairs = load_dataset("PATH_OF_THIS_FOLDER")
 """
 
 _OBJECT_NOTES = """\
-`objects` lists the boxes (left, top, width, height in pixels), categories and areas of the objects
-in an image. Categories are numbers of their own; `segmentation` has the numbers of the dataset.
+`objects` holds lists of the boxes (`bbox`: left, top, width, height in pixels), categories
+(`category`) and areas (`area`) of the objects in an image. Categories are numbers of their own;
+`segmentation` has the numbers of the dataset.
 """
 
 _LICENCE_HINT = (

@@ -10,13 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...common.errors import FactoryError
 from ...dataset.labels import classes_of
 from ...dataset.pair_dataset import PairDataset
 from ...dataset.reader import Split
 from ...dataset.recordings import FrameSequence, Track, parse_tracks
 from ...dataset.schema import stored_image
-from .coco import describe_file, list_categories, write_annotations
+from .coco import IdCounters, describe_file, list_categories, write_annotations
 from .notes import write_notes
 from .object_selection import ClassList, ObjectSelection
 from .png_encoding import encode_png
@@ -134,6 +136,17 @@ def _folder_name(recording: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]|^\.+", "-", recording.replace("/", "-"))
 
 
+def _unused_name(folder: Path, recording: str) -> str:
+    """The name of a recording's folder, numbered where another recording took it."""
+    plain_name = _folder_name(recording)
+    name = plain_name
+    number = 2
+    while (folder / name).exists():
+        name = f"{plain_name}-{number}"
+        number += 1
+    return name
+
+
 def write_mot(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> str:
     """SPLIT/RECORDING/img1/NNNNNN.png, gt/gt.txt, gt/classes.csv and seqinfo.ini.
 
@@ -164,7 +177,8 @@ def _describe_numbers(numbers: Mapping[str, int]) -> str:
 def _write_mot_sequence(
     sequence: FrameSequence, folder: Path, exported: ExportedTracks, numbers: Mapping[str, int]
 ) -> None:
-    place = folder / _folder_name(sequence.recording)
+    name = _unused_name(folder, sequence.recording)
+    place = folder / name
     (place / "img1").mkdir(parents=True)
     (place / "gt").mkdir()
     lines = []
@@ -179,7 +193,7 @@ def _write_mot_sequence(
     with (place / "gt" / "classes.csv").open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerows([("id", "class"), *sorted(class_names.items())])
-    (place / "seqinfo.ini").write_text(_sequence_info(sequence))
+    (place / "seqinfo.ini").write_text(_sequence_info(sequence, name))
 
 
 def _mot_line(frame_number: int, track: Track, class_number: int) -> str:
@@ -189,37 +203,40 @@ def _mot_line(frame_number: int, track: Track, class_number: int) -> str:
     return f"{frame_number},{track['id']},{box},1,{class_number},{visibility:.3f}\n"
 
 
-def _sequence_info(sequence: FrameSequence) -> str:
+def _sequence_info(sequence: FrameSequence, name: str) -> str:
+    """seqinfo.ini; tools read frameRate as a whole number, so the exact one stands at the end."""
     height, width = sequence.noisy.shape[1:]
+    rate_hz = frame_rate_hz(sequence)
     return (
-        f"[Sequence]\nname={_folder_name(sequence.recording)}\nimDir=img1\n"
-        f"frameRate={frame_rate_hz(sequence):g}\nseqLength={len(sequence)}\n"
-        f"imWidth={width}\nimHeight={height}\nimExt=.png\n"
+        f"[Sequence]\nname={name}\nimDir=img1\n"
+        f"frameRate={max(round(rate_hz), 1)}\nseqLength={len(sequence)}\n"
+        f"imWidth={width}\nimHeight={height}\nimExt=.png\nexactFrameRate={rate_hz:g}\n"
     )
 
 
 def frame_rate_hz(sequence: FrameSequence) -> float:
-    """Frames a second; 1 where the dataset has no times."""
-    span_s = float(sequence.time_s[-1] - sequence.time_s[0])
-    if not span_s > 0:
+    """Frames a second, those that failed included; 1 where the dataset has no times."""
+    steps_s = np.diff(sequence.time_s)
+    if not len(steps_s) or not (steps_s > 0).all():
         return _DEFAULT_RATE_HZ
-    return round((len(sequence) - 1) / span_s, 6)
+    return round(float(1 / np.median(steps_s)), 6)
 
 
 def write_coco_video(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> str:
     """images/SPLIT/RECORDING/NNNNNN.png and annotations/instances_SPLIT.json.
 
     As COCO has it, and beside it: videos; video_id and frame_id of images; video_id and track_id
-    of annotations, track ids being unique in the file.  Categories are the classes that occur, or
+    of annotations.  All ids are unique over the splits.  Categories are the classes that occur, or
     those of the selection, numbered from 1.
     Raises FactoryError for a dataset without tracks.
     """
     exported = survey_tracks(pairs, selection)
     counts: Counter[str] = Counter()
+    ids = IdCounters()
     for split in _splits(pairs):
-        document = _Document(exported, split)
+        document = _Document(exported, split, ids)
         for sequence in _recordings(pairs, split):
-            name = _folder_name(sequence.recording)
+            name = _unused_name(folder / "images" / split, sequence.recording)
             place = folder / "images" / split / name
             place.mkdir(parents=True)
             document.add(name, sequence)
@@ -235,10 +252,11 @@ def write_coco_video(pairs: PairDataset, folder: Path, selection: ObjectSelectio
 
 
 class _Document:
-    """The JSON of one split, filled recording by recording."""
+    """The JSON of one split, filled recording by recording; ids go on from split to split."""
 
-    def __init__(self, exported: ExportedTracks, split: str) -> None:
+    def __init__(self, exported: ExportedTracks, split: str, ids: IdCounters) -> None:
         self._exported = exported
+        self._ids = ids
         self._track_ids: dict[tuple[int, int], int] = {}
         self.values: dict[str, Any] = {
             "info": describe_file(f"SimNFND, {split}; recordings with tracks"),
@@ -251,11 +269,11 @@ class _Document:
     def add(self, name: str, sequence: FrameSequence) -> None:
         """Add a recording."""
         height, width = sequence.noisy.shape[1:]
-        video_id = len(self.values["videos"]) + 1
+        video_id = next(self._ids.videos)
         size = {"width": width, "height": height}
         self.values["videos"].append({"id": video_id, "name": name, **size})
         for number, tracks in enumerate(sequence.tracks, start=1):
-            image_id = len(self.values["images"]) + 1
+            image_id = next(self._ids.images)
             image = {
                 "id": image_id,
                 "video_id": video_id,
@@ -269,13 +287,14 @@ class _Document:
 
     def _annotation(self, track: Track, image_id: int, video_id: int) -> dict[str, Any]:
         key = video_id, track["id"]
-        track_id = self._track_ids.setdefault(key, len(self._track_ids) + 1)
+        if key not in self._track_ids:
+            self._track_ids[key] = next(self._ids.tracks)
         _, _, width, height = track["box"]
         return {
-            "id": len(self.values["annotations"]) + 1,
+            "id": next(self._ids.annotations),
             "image_id": image_id,
             "video_id": video_id,
-            "track_id": track_id,
+            "track_id": self._track_ids[key],
             "category_id": self._exported.classes.number(track["class"]),
             "bbox": track["box"],
             "area": width * height,
@@ -294,5 +313,6 @@ numbers, set its `DO_PREPROC False` to judge them together.
 _COCO_VIDEO_NOTES = """\
 `images/SPLIT/RECORDING/` holds the noisy images, `annotations/instances_SPLIT.json` is COCO with
 recordings: `videos`; `video_id` and `frame_id` of each image; `video_id` and `track_id` of each
-annotation. Boxes hold an object's echoes, in pixels from 0.
+annotation. Boxes hold an object's echoes, in pixels from 0. `frame_id` counts from 1, and ids are
+unique over the splits.
 """

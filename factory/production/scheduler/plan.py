@@ -10,19 +10,18 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...common.progress import RunReporter
-from ...common.small_files import open_regular
 from ...common.workers.settings import SchedulerSettings, ShardSlice
 from ...dataset.folder import WORK_NAME
 from ...dataset.frame_ref import FrameRef
 from ...dataset.schema import SPLITS, PairSource, Preparer, Provenance
 from ...dataset.settings import DatasetSettings
+from .input_digests import InputDigests
 
 if TYPE_CHECKING:
     from .lock import Publication
@@ -122,22 +121,23 @@ class DatasetJob(Recipe):
         return Recipe(**{**values, "directory": Path(os.path.abspath(self.directory))})
 
 
-def with_inputs(tasks: Sequence[ShardTask]) -> tuple[ShardTask, ...]:
-    """The tasks with the hashes of their frames' files, wherever these lie."""
+def with_inputs(
+    tasks: Sequence[ShardTask], table_path: Path | None = None
+) -> tuple[ShardTask, ...]:
+    """The tasks with the hashes of their frames' files, wherever these lie.
+
+    table_path: where hashes are kept for later runs; None: each file is read.
+    """
+    inputs = InputDigests(table_path)
     with ThreadPoolExecutor() as pool:
-        return tuple(pool.map(_with_inputs, tasks))
+        hashed = tuple(pool.map(lambda task: _with_inputs(task, inputs), tasks))
+    inputs.save()
+    return hashed
 
 
-def _with_inputs(task: ShardTask) -> ShardTask:
-    digests = [[_file_digest(path) for path in ref.paths] for ref, _ in task.items]
+def _with_inputs(task: ShardTask, inputs: InputDigests) -> ShardTask:
+    digests = [[inputs.digest(path) for path in ref.paths] for ref, _ in task.items]
     return replace(task, inputs=hashlib.sha256(json.dumps(digests).encode()).hexdigest()[:16])
-
-
-def _file_digest(path: str) -> str:
-    """Hash of a file's content; empty for one that cannot be read, as its frame's failure says."""
-    with suppress(OSError), open_regular(Path(path)) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()[:32]  # type: ignore[arg-type]
-    return ""
 
 
 def work_folder(directory: Path, shard: ShardSlice) -> Path:

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from ...common.errors import FactoryError, FrameError, NotRendered
-from ...common.files import forward_writes
+from ...common.files import forward_writes, real_path
 from ...common.workers import tell
 from ...dataset.frame_ref import FrameRef
 from ...dataset.manifest import Failure, ShardInfo
@@ -78,7 +78,7 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
         if (publication := recipe.publication) is not None:
             if publication.is_remote:  # who shares no folder has one of its own
                 folder = resources.enter_context(TemporaryDirectory(prefix="simnfnd-shard-"))
-                publication = replace(publication, folder=Path(folder).resolve())
+                publication = replace(publication, folder=real_path(Path(folder)))
             recipe = replace(recipe, directory=publication.folder)
             resources.enter_context(forward_writes(publication.folder, publication.forward))
         return _Shard(attempt, recipe).result()

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import FactoryError
+from ...common.files import real_path
 from ...common.small_files import one_line
 
 _SAMPLES = 8
@@ -33,12 +34,12 @@ class Opened:
 
 def linked_by_blend(path: Path) -> list[Path]:
     """Libraries, textures and other files that a .blend names.  Raises FactoryError."""
-    return _opened(path.resolve()).linked
+    return _opened(real_path(path)).linked
 
 
 def export_blend(path: Path, target: Path) -> None:
     """Write what the active scene shows as a .glb.  Raises FactoryError."""
-    _opened(path.resolve()).bpy.ops.export_scene.gltf(
+    _opened(real_path(path)).bpy.ops.export_scene.gltf(
         filepath=str(target), export_apply=True, use_visible=True, use_renderable=True,
         use_active_scene=True, export_animations=False, export_skins=False, export_morph=False,
         export_normals=False,
@@ -79,7 +80,7 @@ def _linked_files(bpy: Any, folder: Path) -> list[Path]:
     stated = bpy.utils.blend_paths(absolute=True, packed=False, local=False)
     linked = sorted({Path(text.replace("\\", "/")) for text in stated if text})
     for file in linked:
-        if not file.resolve().is_relative_to(folder.resolve()):
+        if not real_path(file).is_relative_to(real_path(folder)):
             raise FactoryError(
                 f"names {file}, which is not in the mesh's own folder; pack it (File, External "
                 "Data) or put it beside the mesh"
@@ -141,7 +142,7 @@ def camera_image(
 
     world_from_camera: (4, 4) in units of the file.  lens: fx, fy, cx, cy in pixels.
     """
-    opened = _opened(path.resolve())
+    opened = _opened(real_path(path))
     bpy = opened.bpy
     import mathutils  # comes with Blender
 

@@ -344,8 +344,13 @@ def movements(path: Path) -> tuple[dict[str, float], ...]:
         raise FactoryError(
             f"{path}: expected a header of some of {', '.join(known)}, and a line for each frame"
         )
-    rows = (numbers_in(path, line, names) for line in lines)
-    return tuple(dict(zip(names, row, strict=True)) for row in rows)
+    rows = [dict(zip(names, numbers_in(path, line, names), strict=True)) for line in lines]
+    if "time_s" not in names:
+        return tuple(rows)
+    for (number, _), before, row in zip(lines[1:], rows[:-1], rows[1:], strict=True):
+        if row["time_s"] <= before["time_s"]:
+            raise FactoryError(f"{path}:{number}: time_s does not increase")
+    return tuple(rows)
 
 
 def _about(axis: Float64s, angle_rad: float) -> Float64s:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...common.array_types import Float64s
 from ...common.errors import FactoryError
+from ...common.files import real_path
 from ...common.isolated import IsolatedProcess
 from ...common.small_files import one_line
 from .mesh_loading import Z_UP, linked_files, load
@@ -79,7 +80,7 @@ def files_of(path: Path, key: str) -> tuple[str, ...]:
         raise FactoryError(f"{key}={path}: {error}") from error
     remedy = "put it beside the mesh, or export with everything in one .glb"
     for file in map(Path, (*needed, *named)):
-        if not file.resolve().is_relative_to(path.parent.resolve()):
+        if not real_path(file).is_relative_to(real_path(path.parent)):
             problem = f"names {file}, which is not in the mesh's own folder"
             raise FactoryError(f"{key}={path}: {problem}; {remedy}")
     for file in map(Path, needed):

@@ -33,20 +33,20 @@ PATH_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "roll_deg
 _FISH = "Fish"
 
 
-def _limited(low: float, high: float) -> tuple[BeforeValidator, PlainSerializer]:
+def _limited(low: float, high: float, unit: str = "") -> tuple[BeforeValidator, PlainSerializer]:
     return (
-        BeforeValidator(lambda value: parse(value, low, high)),
+        BeforeValidator(lambda value: parse(value, low, high, unit)),
         PlainSerializer(lambda distribution: distribution.plain()),
     )
 
 
-Angle = Annotated[Distribution, *_limited(-3600.0, 3600.0)]
-Speed = Annotated[Distribution, *_limited(0.0, FASTEST_M_S)]
-Metres = Annotated[Distribution, *_limited(0.0, FARTHEST_M)]
-Length = Annotated[Distribution, *_limited(0.005, 15.0)]
+Angle = Annotated[Distribution, *_limited(-3600.0, 3600.0, "deg")]
+Speed = Annotated[Distribution, *_limited(0.0, FASTEST_M_S, "m/s")]
+Metres = Annotated[Distribution, *_limited(0.0, FARTHEST_M, "m")]
+Length = Annotated[Distribution, *_limited(0.005, 15.0, "m")]
 Share = Annotated[Distribution, *_limited(0.02, 1.0)]
-Hertz = Annotated[Distribution, *_limited(0.0, 30.0)]
-Decibels = Annotated[Distribution, *_limited(-90.0, 30.0)]
+Hertz = Annotated[Distribution, *_limited(0.0, 30.0, "Hz")]
+Decibels = Annotated[Distribution, *_limited(-90.0, 30.0, "dB")]
 Members = Annotated[Distribution, *_limited(1.0, 500.0)]
 
 

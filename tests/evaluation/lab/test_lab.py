@@ -295,6 +295,19 @@ def test_bad_requests_get_one_line(session: Session, request_values: Any, named:
     assert "\n" not in line
 
 
+def test_a_defect_reaches_the_page_and_blocks_nothing(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with served(session) as url:
+        with monkeypatch.context() as patch:
+            patch.setattr(Session, "pairs", lambda *_: 1 / 0)
+            with pytest.raises(HTTPError) as caught:
+                answer(url, "images.json", {})
+        assert caught.value.code == 500
+        assert "ZeroDivisionError" in caught.value.read().decode()
+        assert answer(url, "about.json", {})["frame"] == 0
+
+
 # --- the page ---
 
 # Moves a slider, marks a parameter for a sweep, and sends what was shown before and after.

@@ -95,6 +95,8 @@ def _change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         _change("categories", None),
         _change("annotations", [3]),
         _change("images.0.file_name", "absent.png"),
+        _change("images.0.file_name", "../outside.png"),
+        _change("annotations.0.bbox", [10**400, 2, 3, 4]),
         _change("images.0.width", 12),
         _change("images.0.id", 2),
         _change("categories.0.name", ""),
@@ -116,6 +118,7 @@ def test_bad_files_get_one_line(
         {**entry, "pixels": array} for entry, array in zip(content["images"], pixels, strict=True)
     ]
     folder = write_coco(tmp_path / "tank", {**content, "images": images})
+    cv2.imwrite(str(tmp_path / "outside.png"), pixels[0])  # readable, and nobody's business
     change(content)
     (folder / "annotations.json").write_text(json.dumps(content))
     with pytest.raises(FactoryError) as caught:

@@ -17,6 +17,7 @@ from pydantic.dataclasses import dataclass
 from ....common.distribution import Altitude
 from ....common.distribution import Angle as DrawnAngle
 from ....common.errors import FactoryError
+from ....common.limits import limited
 from ....common.settings import STRICT
 from ....dataset.frame_ref import FrameRef
 from ....dataset.labels import FITTING, ObjectName, class_names
@@ -36,6 +37,7 @@ GENERATOR = 2
 _LARGEST_M = 15.0  # of own objects; what is larger is in millimetres
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Count = Annotated[int, Field(ge=0, le=200)]
+_Tilt = Annotated[float, limited(-180, 180, "deg")]
 _LAST = 10_000  # names have four digits and sort as numbers do
 _HELD = 2  # a location takes a second to build and tens of megabytes
 
@@ -54,10 +56,10 @@ class OwnObject(OwnClass):
 
     file: Root
     per_place: tuple[_Count, _Count] = (0, 1)
-    scale: Annotated[float, Field(gt=0)] = 1.0
+    scale: Annotated[float, limited(1e-6, 1e6, "m")] = 1.0
     up: Literal["auto", "y", "z"] = "auto"
     burial: tuple[_Share, _Share] = (0.02, 0.18)
-    tilt_deg: tuple[float, float] = (0.0, 10.0)
+    tilt_deg: tuple[_Tilt, _Tilt] = (0.0, 10.0)
     colour: tuple[_Share, _Share, _Share] | None = None
     moving: Moving | None = None
 
@@ -208,6 +210,13 @@ class SeabedSettings(RecordingSettings):
             if "time_s" in line:
                 return line["time_s"]
         return None if self.frame_rate_hz is None else number / self.frame_rate_hz
+
+    @property
+    def start_s(self) -> float:
+        """See `SceneSettings`: the time of the first line of a path."""
+        if self.path is None:
+            return 0.0
+        return movements(Path(self.path).expanduser())[0].get("time_s", 0.0)
 
     def __post_init__(self) -> None:
         """Refuse locations whose number has more than four digits, and half a sector."""

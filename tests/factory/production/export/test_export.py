@@ -130,7 +130,13 @@ def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_p
         shadow = np.stack([np.asarray(sample["shadow"]) for sample in samples])
         np.testing.assert_array_equal(shadow > 0, stored(source, split, "shadow"))
         if which == "fans":
-            assert isinstance(rows.features["objects"].feature["category"], datasets.ClassLabel)
+            objects = rows.features["objects"]
+            assert isinstance(objects["category"].feature, datasets.ClassLabel)
+            lists = [sample["objects"] for sample in samples]
+            assert any(len(item["bbox"]) for item in lists)
+            assert all(len(item["bbox"]) == len(item["category"]) for item in lists)
+            # Versions of the library before 4.0 know no other name.
+            assert b'"List"' not in schema.metadata[b"huggingface"]
             for name in ("segmentation", "instance", "range"):
                 actual = np.stack([np.asarray(sample[name]) for sample in samples])
                 np.testing.assert_array_equal(actual, stored(source, split, name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,8 @@ def test_mot_has_a_line_for_each_box(swims, tmp_path):
     info = configparser.ConfigParser()
     info.read(place / "seqinfo.ini")
     assert info["Sequence"]["seqlength"] == str(len(FRAMES))
-    assert float(info["Sequence"]["framerate"]) == 7.0  # eight frames in 1 s
+    assert info["Sequence"].getint("framerate") == 8  # also where a frame failed
+    assert info["Sequence"].getfloat("exactframerate") == 8
     image = cv2.imread(str(place / "img1/000001.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(image, pair("two", 0).noisy)
 
@@ -168,6 +170,15 @@ def test_pycocotools_judges_the_boxes_of_coco_video(swims, tmp_path):
 
 def test_coco_video_numbers_tracks_and_recordings(swims, tmp_path):
     export(swims, "coco_video", tmp_path / "out", "train")
+    export(swims, "coco_video", tmp_path / "both")
+    ids = {"images": set(), "annotations": set(), "videos": set()}
+    for split in ("train", "test"):
+        path = tmp_path / f"both/annotations/instances_{split}.json"
+        for kind, known in ids.items():
+            own_ids = {entry["id"] for entry in json.loads(path.read_text())[kind]}
+            assert own_ids
+            assert not own_ids & known
+            known |= own_ids
     document = json.loads((tmp_path / "out/annotations/instances_train.json").read_text())
     assert [video["name"] for video in document["videos"]] == ["sea-one", "sea-two"]
     of_videos = {image["id"]: image["video_id"] for image in document["images"]}
@@ -198,10 +209,24 @@ def test_odd_tracks_are_refused(tmp_path, tracks, word):
 
 
 def test_a_recordings_name_leads_nowhere_else(tmp_path):
-    odd = dataset(tmp_path / "odd", {"train": [pair("../../up", 0)]})
-    export(odd, "mot", tmp_path / "out/deep/deeper")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["odd", "out"]
-    assert len(list((tmp_path / "out/deep/deeper/train").iterdir())) == 1
+    scenes = ("../../up", "dive 1", "dive,1")
+    odd = dataset(tmp_path / "odd", {"train": [pair(scene, 0) for scene in scenes]})
+    for to, place in (("mot", "train"), ("coco_video", "images/train")):
+        export(odd, to, tmp_path / to / "deep/deeper")
+        folders = [path.name for path in (tmp_path / to / "deep/deeper" / place).iterdir()]
+        # Names that become the same are numbered.
+        assert sorted(folders) == ["sea-..-..-up", "sea-dive-1", "sea-dive-1-2"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["coco_video", "mot", "odd"]
+
+
+def test_frames_without_times_are_in_the_order_of_their_numbers(tmp_path):
+    pairs = []
+    for number in (10, 2, 1):
+        plain = pair("one", number)
+        record = {**plain.record, "frame": str(number), "time_s": float("nan")}
+        pairs.append(replace(plain, record=record))
+    with PairDataset(dataset(tmp_path, {"train": pairs})) as opened:
+        assert opened.sequence("sea/one").frames == ("1", "2", "10")
 
 
 def test_a_dataset_without_tracks_is_named(tmp_path):

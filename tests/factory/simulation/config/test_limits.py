@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Iterator
+from functools import cache
 from typing import Annotated, Any
 
 import pytest
@@ -28,6 +29,11 @@ BASES = {
     "coherent": ("experiment=physical",),
     "path speckle": ("experiment=physical", "noise=moving"),
     "recording": ("experiment=physical", "noise=recording", "scenes.frame_rate_hz=2"),
+    "objects": (
+        "scenes.frame_rate_hz=2",
+        "scenes.moving_objects=[{length_m: 0.3, moving: {speed_m_s: 1}}]",
+        "scenes.own_objects=[{file: a.glb, class: crate, scale: 1, tilt_deg: [0, 9]}]",
+    ),
     "drawn devices": ("experiment=any_sonar",),
     "mesh": ("scenes=mesh", "scenes.file=a.obj", "scenes.frame_rate_hz=2"),
     "list": ("scenes=csv_list", "scenes.file=a.csv", "scenes.intrinsics=[9,9,9,9]"),
@@ -36,6 +42,7 @@ BASES = {
 ANY_NUMBER = {"seed", "cache.max_bytes"}
 
 
+@cache
 def composed(words: tuple[str, ...]) -> Any:
     with initialize_config_module("simnfnd.conf", version_base="1.3"):
         values = OmegaConf.to_container(compose("factory", list(words)), resolve=True)
@@ -90,6 +97,10 @@ def test_every_number_has_limits() -> None:
 @pytest.mark.parametrize(
     ("word", "hint"),
     [
+        ("scenes.moving_objects.0.length_m=250", "mm?"),
+        ("scenes.moving_objects.0.moving.speed_m_s=300", "mm/s?"),
+        ("scenes.own_objects.0.scale=1e300", "[1e-06, 1e+06] m"),
+        ("scenes.own_objects.0.tilt_deg.1=1e300", "[-180, 180] deg"),
         ("sonar.frequency_khz=900000", "Hz?"),
         ("sonar.frequency_khz=0.9", "MHz?"),
         ("sonar.hfov_deg=2.2", "radians?"),
@@ -104,8 +115,8 @@ def test_every_number_has_limits() -> None:
 )
 def test_a_number_in_another_unit_is_recognised(word: str, hint: str) -> None:
     key, _, number = word.partition("=")
-    base = "drawn devices" if key.startswith("devices") else "coherent"
-    path = tuple(key.split("."))
+    base = {"devices": "drawn devices", "scenes": "objects"}.get(key.split(".")[0], "coherent")
+    path = tuple(int(step) if step.isdigit() else step for step in key.split("."))
     values = changed(composed(BASES[base]), path, float(number))
     with pytest.raises(FactoryError, match=key.replace(".", r"\.")) as refusal:
         from_mapping(values)

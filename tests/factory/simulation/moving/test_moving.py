@@ -16,6 +16,7 @@ from simnfnd.factory.dataset.frame_ref import FrameRef
 from simnfnd.factory.dataset.labels import ObjectName
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.imaging.coherent import CoherentScene, received
+from simnfnd.factory.simulation.meshes.camera import movements
 from simnfnd.factory.simulation.moving.cast import draw_cast
 from simnfnd.factory.simulation.moving.compose import Echo, bodies_at, compose
 from simnfnd.factory.simulation.moving.fish import SwimmingWave, fish_mesh, love_target_strength_db
@@ -323,6 +324,20 @@ def test_a_path_outside_the_recording_is_refused(tmp_path: Path, first_s, last_s
     longer = with_objects({"moving": {"path": str(file)}}, locations=1, frames_per_location=2000)
     if first_s > 0:
         assert SeabedReader(longer).discover().frames
+
+
+def test_the_time_of_a_platform_counts_from_its_first_line(tmp_path: Path):
+    platform = tmp_path / "platform.csv"
+    platform.write_text("time_s,surge_m\n1700000000,0\n1700000002,0.5\n")
+    file = tmp_path / "file.csv"
+    file.write_text(HEADER + "1,3,0,0,0,0,0\n9,4,0,0,0,0,0\n")
+    chosen = with_objects({"moving": {"path": str(file)}}, locations=1, path=str(platform))
+    assert len(SeabedReader(chosen).discover().frames) == 2
+    assert chosen.start_s == 1_700_000_000
+    platform.write_text("time_s,surge_m\n2,0\n1,0.5\n")
+    movements.cache_clear()
+    with pytest.raises(FactoryError, match=r"platform\.csv:3: time_s"):
+        SeabedReader(chosen).discover()
 
 
 def test_a_path_is_followed_from_the_sonars_first_place(tmp_path: Path):

@@ -160,6 +160,19 @@ def test_csv_list_refuses_bad_keys_by_name(tmp_path: Path, values: dict[str, obj
 # --- units of depth ------------------------------------------------------------------------------
 
 
+def test_long_names_fit_the_table(tmp_path: Path) -> None:
+    names = [f"{'dive' * 40}{number}" for number in (1, 2)]
+    (tmp_path / f"{names[0]}.png").touch()
+    lines = [f"{name}.png,{name}.npy,{names[0]}\n" for name in names]
+    (tmp_path / "list.csv").write_text("".join(lines))
+    values = {"kind": "csv_list", "file": f"{tmp_path}/list.csv", "intrinsics": [9, 9, 4, 4]}
+    settings: Any = build(Scenes, values, "scenes")
+    frames = open_reader(settings).discover().frames
+    assert len({ref.frame for ref in frames}) == 2
+    assert max(len(ref.frame) for ref in frames) <= 96
+    assert max(len(ref.scene) for ref in frames) <= 96
+
+
 def test_float_millimetres_are_named_and_depth_scale_corrects_them(tmp_path: Path) -> None:
     write(tmp_path / "1.png", RGB)
     write(tmp_path / "1.tif", DEPTH * np.float32(1000))
