@@ -6,6 +6,7 @@ import difflib
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,9 @@ from .classical import (
 from .rivals.dual_tree import dual_tree
 from .rivals.lpmsde import lpmsde
 from .rivals.sar2sar import sar2sar
+
+# Of the image that methods of other packages are tried on, pixels.
+_TRIAL_SIDE = 48
 
 Number = int | float
 Parameters = dict[str, Number]
@@ -137,18 +141,41 @@ GROUPS = {
 def register_method(method: Baseline) -> None:
     """Make a method known in this process, by its name among `baselines`.
 
-    Raises ValueError for a name that is taken or no name.
+    Raises ValueError for a name that is taken or no name, and for a method that fails on a small
+    image or declares something wrong.
     """
-    if method.name in _BUILT_IN or method.name in GROUPS:
-        raise ValueError(f"method {method.name!r}: there is one of that name")
+    name = getattr(method, "name", method)
+    if name in _BUILT_IN or name in GROUPS:
+        raise ValueError(f"method {name!r}: there is one of that name")
+    if problem := _problem_of(method):
+        raise ValueError(f"method {name!r}: {problem}")
     extensions.register("method", method.name, method)
     REGISTRY[method.name] = method
+
+
+def _problem_of(method: Any) -> str:
+    """What is wrong with a method of another package; "" for a sound one."""
+    if not isinstance(method, Baseline):
+        return f"is a {type(method).__name__}; give a Baseline"
+    for parameter, values in method.grid.items():
+        if parameter not in method.default:
+            return f"its grid has {parameter}, which has no default"
+        if not values:
+            return f"its grid has no value of {parameter}"
+    image = np.random.default_rng(0).random((_TRIAL_SIDE, _TRIAL_SIDE), np.float32)
+    trial_image = image.copy()
+    try:
+        method(trial_image, method.default)
+    except Exception as error:  # the code of another package
+        size = f"{_TRIAL_SIDE} x {_TRIAL_SIDE}"
+        return f"fails on an image of {size} pixels ({type(error).__name__}: {error})"
+    return "" if np.array_equal(image, trial_image) else "changes the image that it is given"
 
 
 def method_of(name: str) -> Baseline:
     """The method of a name, of this project or another package.
 
-    Raises FactoryError where there is none, and for one that cannot be loaded.
+    Raises FactoryError where there is none, and for one that cannot be loaded or used.
     """
     if name in REGISTRY:
         return REGISTRY[name]
@@ -165,6 +192,10 @@ def method_of(name: str) -> Baseline:
         raise FactoryError(
             f"baselines={name}: {extension.source} gives no `Baseline` of that name; report it to "
             "the package's author"
+        )
+    if problem := _problem_of(method):
+        raise FactoryError(
+            f"baselines={name}: {extension.source}: {problem}; report it to the package's author"
         )
     REGISTRY[name] = method
     return method

@@ -285,6 +285,17 @@ def test_names_that_are_taken_or_unusable_are_refused() -> None:
             register_effect(replace(EFFECTS["background"], name=name))
     with pytest.raises(ValueError, match="median"):
         register_method(REGISTRY["median"])
+    row_median = REGISTRY["median"]
+    wrong = {
+        "NaN": {"function": lambda image, size: image * np.nan},
+        "TypeError": {"function": lambda image: image},
+        "changes the image": {"function": lambda image, size: np.sqrt(image, out=image)},
+        "no default": {"grid": {"width": (3,)}},
+        "no value": {"grid": {"size": ()}},
+    }
+    for problem, changes in wrong.items():
+        with pytest.raises(ValueError, match=f"row_median.*{problem}"):
+            register_method(replace(row_median, name="row_median", **changes))
     entry: Any = type("Entry", (), {"kind": "seabed"})
     with pytest.raises(ValueError, match="seabed"):
         register_reader(entry)

@@ -132,11 +132,6 @@ def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_p
         if which == "fans":
             objects = rows.features["objects"]
             assert isinstance(objects["category"].feature, datasets.ClassLabel)
-            lists = [sample["objects"] for sample in samples]
-            assert any(len(item["bbox"]) for item in lists)
-            assert all(len(item["bbox"]) == len(item["category"]) for item in lists)
-            # Versions of the library before 4.0 know no other name.
-            assert b'"List"' not in schema.metadata[b"huggingface"]
             for name in ("segmentation", "instance", "range"):
                 actual = np.stack([np.asarray(sample[name]) for sample in samples])
                 np.testing.assert_array_equal(actual, stored(source, split, name))
@@ -346,6 +341,27 @@ def test_chosen_classes_are_numbered_as_asked(labelled: Path, tmp_path: Path) ->
         export(labelled, "yolo", tmp_path / "yolo", class_names=("Tire", "Tire"))
     with pytest.raises(FactoryError, match="--classes"):
         export(labelled, "png", tmp_path / "png", class_names=("Tire",))
+
+
+def test_objects_are_lists_as_of_the_hub(labelled: Path, tmp_path: Path) -> None:
+    from datasets import ClassLabel, Features
+    from pyarrow import parquet
+
+    export(labelled, "huggingface", tmp_path / "out")
+    table = parquet.read_table(tmp_path / "out/data/train-00000-of-00001.parquet")
+    rows = table.column("objects").to_pylist()
+    expected = truth(labelled, "train")
+    for row, objects in zip(rows, expected, strict=True):
+        assert row["area"] == [int(mask.sum()) for _, mask in objects]
+        assert len(row["bbox"]) == len(row["category"]) == len(objects)
+        for box, (_, mask) in zip(row["bbox"], objects, strict=True):
+            assert box[2:] == [np.ptp(axis) + 1 for axis in mask.nonzero()[::-1]]
+    assert any(row["area"] for row in rows)
+    category = Features.from_arrow_schema(table.schema)["objects"]["category"].feature
+    assert isinstance(category, ClassLabel)
+    assert category.names == ["Tire", "Barrel"]
+    # Versions of the library before 4.0 know no other name for a list.
+    assert b'"List"' not in table.schema.metadata[b"huggingface"]
 
 
 def test_small_boxes_are_left_out(labelled: Path, tmp_path: Path) -> None:
