@@ -66,16 +66,22 @@ def main(words: Sequence[str]) -> int:
     parser = Parser(prog="simnfnd evaluate paper")
     parser.add_argument("--quick", action="store_true", help=f"use few pairs: {_QUICK_TIME}")
     parser.add_argument(
-        "--scenes", type=Path, help="folder of FLSea VI (default: procedural places)"
+        "--scenes", type=Path, metavar="DIR", help="folder of FLSea VI (default: procedural places)"
     )
     parser.add_argument(
-        "--real", type=Path, help="Marine Debris Dataset, for OldData (default: without that row)"
+        "--real",
+        type=Path,
+        metavar="DIR",
+        help="Marine Debris Dataset, for OldData (default: without that row)",
     )
     parser.add_argument(
-        "--frames", type=int, help="number of frames to render (default: 8000; quick: 32)"
+        "--frames",
+        type=int,
+        metavar="N",
+        help="number of frames to render (default: 8000; quick: 32)",
     )
     parser.add_argument(
-        "--steps", type=int, help="steps of each training (default: 4000; quick: 200)"
+        "--steps", type=int, metavar="N", help="steps of each training (default: 4000; quick: 200)"
     )
     parser.add_argument(
         "--out",

@@ -53,9 +53,13 @@ def _parsed(arguments: Sequence[str]) -> Any:
         metavar="IN",
         help="folder, video, .aris, .ddf or .raw to learn from; several count alike",
     )
-    parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
     parser.add_argument(
-        "--weights", help="weights to begin with: a file, or the name of weights that ship"
+        "--out", required=True, metavar="FILE", help="file to write, NAME.safetensors"
+    )
+    parser.add_argument(
+        "--weights",
+        metavar="FILE",
+        help="weights to begin with: a file, or the name of weights that ship",
     )
     parser.add_argument(
         "--steps",
@@ -74,7 +78,7 @@ def _parsed(arguments: Sequence[str]) -> Any:
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of all random draws (0)")
     parser.add_argument(
-        "--device", choices=("auto", "cpu", "gpu"), default="auto", help="what computes"
+        "--device", choices=("auto", "cpu", "gpu"), default="auto", help="device that computes"
     )
     chosen = parser.parse_args(list(arguments))
     if Path(chosen.out).suffix != ".safetensors":

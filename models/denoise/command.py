@@ -161,13 +161,23 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add = parser.add_argument
     inputs_help = "image, folder, shard, video, recording or array to denoise"
     add("inputs", nargs="*", metavar="IN", help=inputs_help)
-    add("--out", required=True, help="folder for the results; names are kept")
-    add("--weights", help="weights.safetensors of a training, or a name of those that ship (below)")
+    add("--out", required=True, metavar="DIR", help="folder for the results; names are kept")
+    add(
+        "--weights",
+        metavar="FILE",
+        help="weights.safetensors of a training, or a name of those that ship (below)",
+    )
     noise_help = (
         "noise of real sonars (default), or of the paper's points; shards state it themselves"
     )
     add("--noise", choices=("real", "points"), default="real", help=noise_help)
-    add("--strength", type=float, default=1.0, help="part of the change, 0 to 1 (default: 1)")
+    add(
+        "--strength",
+        type=float,
+        default=1.0,
+        metavar="PART",
+        help="part of the change, 0 to 1 (default: 1)",
+    )
     frames_help = (
         "fuse up to N frames of a recording, video, stack or folder numbered in time, where they "
         f"show the same scene: half before and half after each; odd ({FRAMES}; 1: each alone)"
@@ -193,8 +203,13 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     add("--levels", type=float, nargs=2, metavar=("BLACK", "WHITE"), help=levels_help)
     add("--again", action="store_true", help="denoise all files, also finished ones")
     topics_help = "topic of a bag to denoise (may be repeated; default: those of sonars)"
-    add("--topic", action="append", default=[], help=topics_help)
-    add("--device", choices=("auto", "cpu", "gpu"), default="auto", help="what computes (auto)")
+    add("--topic", action="append", default=[], metavar="NAME", help=topics_help)
+    add(
+        "--device",
+        choices=("auto", "cpu", "gpu"),
+        default="auto",
+        help="device that computes (auto: a GPU if there is one)",
+    )
 
     options = parser.parse_args(list(arguments))
     if options.compare not in ("", SHEETS) and Path(options.compare).suffix.lower() != SUFFIX:

@@ -21,7 +21,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = Parser(prog="simnfnd export-weights")
     add = parser.add_argument
     add("weights", help="weights.safetensors of a training, or a name that ships")
-    add("--out", required=True, help="file to write")
+    add("--out", required=True, metavar="FILE", help="file to write")
     form = (
         "safetensors: 16 bits with a model card (default); onnx: for other programs, see "
         "docs/how-to/deploy.md; runtime: the graph without weights, with which `simnfnd denoise` "

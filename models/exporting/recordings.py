@@ -43,7 +43,7 @@ denoised) instead of a dataset:
   --to png    an image of each frame, pings as fans
   --to csv    a table of frames: number, times, range window, pose and device
   --out       a new folder, or the name of the .mp4 or .csv file
-  --topic     of bags: whose images (may be repeated)
+  --topic     topic of a bag to export (may be repeated)
 
 A dataset:
 """

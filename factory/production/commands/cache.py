@@ -17,8 +17,8 @@ def main(words: list[str]) -> None:
     """Count, pack or delete renders, as `words` say."""
     parser = Parser(
         prog="simnfnd cache",
-        epilog="KEY=VALUE words are those of `simnfnd make`; cache.dir is the one that matters to "
-        "stats and clear, and for pack all that choose the frames and their render.",
+        epilog="stats and clear use cache.dir alone; pack uses all keys that choose frames and "
+        "their render.",
     )
     parser.add_argument(
         "action",
@@ -26,8 +26,10 @@ def main(words: list[str]) -> None:
         help="stats: count the renders; pack: write the renders of a configuration to one file, "
         "for a machine without Blender; clear: delete all renders",
     )
-    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
-    parser.add_argument("--out", type=Path, help="pack: file to write, for example views.pack")
+    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="as for `simnfnd make`")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="pack: file to write, for example views.pack"
+    )
     arguments = parser.parse_intermixed_args(words)
     if arguments.action == "pack":
         _pack(arguments.overrides, arguments.out)

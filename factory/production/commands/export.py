@@ -16,7 +16,9 @@ def main(words: list[str]) -> None:
     parser = Parser(prog="simnfnd export")
     parser.add_argument("dir", help="folder or URL of a dataset")
     parser.add_argument("--to", required=True, choices=FORMATS, help="format to write")
-    parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
+    parser.add_argument(
+        "--out", required=True, type=Path, metavar="DIR", help="new or empty folder to fill"
+    )
     parser.add_argument(
         "--split", choices=(*SPLITS, "all"), default="all", help="pairs to export (all)"
     )

@@ -35,7 +35,9 @@ def main(words: list[str]) -> None:
     """Merge what `words` name."""
     parser = Parser(prog="simnfnd merge")
     parser.add_argument("dirs", nargs="+", type=Path, metavar="DIR", help="folders of datasets")
-    parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
+    parser.add_argument(
+        "--out", required=True, type=Path, metavar="DIR", help="new or empty folder to fill"
+    )
     parser.add_argument("--name", help="name of the merged dataset (default: merged)")
     parser.add_argument(
         "--licence", help="licence of the merged dataset (default: theirs, if all agree)"
