@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
-from ....common.array_types import Bools, Float32s, UInt8s
+from ....common.array_types import Array, Bools, Float32s, Float64s, UInt8s
 from ....common.seeds import stream
 from ....dataset.frame_ref import FrameRef
 from ...frames.frame import Frame, Intrinsics, Surroundings
@@ -22,6 +23,7 @@ _SUN_M = 400.0  # how far away the camera in the sun is
 _SHADE_M = 14.0  # side of the ground that it sees
 _SHADE_CELLS = 512  # pixels on a side of its image
 _FLSEA_WIDTH_PX = 968
+_FLSEA_HEIGHT_PX = 608
 _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the water
 
 
@@ -226,6 +228,15 @@ def least_around(values: Float32s, reach: int) -> Float32s:
 
 # Two such cameras, to the left and to the right, see all that any candidate sees.
 _LOOKOUT = Optics((70.0, 70.0, 101.0, 54.0), 203, 122)
+_LOOKOUT_SIDES_DEG = (50, -50)
+_LOOKOUT_PITCH_DEG = 20
+_CANDIDATE_YAWS_DEG = (0, 14, -14, 28, -28, 45, -45, 70, -70)
+_CANDIDATE_LOWERS_DEG = (0, -5, 8, 16)
+_PITCH_LIMITS_DEG = (8, 35)
+_PENALTY_PER_LOWERED_DEG = 0.01
+# Between walls the way ahead is the view; in the open the camera turns to what lies there.
+_PENALTY_PER_TURNED_DEG = 0.004
+_PENALTY_PER_TURNED_DEG_BETWEEN_WALLS = 0.012
 
 
 @functools.lru_cache(maxsize=2)  # all frames of a moving platform begin at one
@@ -236,69 +247,119 @@ def choose_pose(world: SeabedWorld, frame: int, stance: Stance) -> Pose:
     much, and nothing right before the lens.
     """
     eye, heading, pitch, roll = world.path.view(frame)
-    lowers = [lower for lower in (0, -5, 8, 16) if 8 <= pitch + lower <= 35]  # one at least
+    least_pitch, most_pitch = _PITCH_LIMITS_DEG  # one candidate at least lies between
+    lowers = [
+        lower for lower in _CANDIDATE_LOWERS_DEG if least_pitch <= pitch + lower <= most_pitch
+    ]
     if stance.altitude_m is not None:
         eye = np.array([*eye[:2], world.terrain.height_m(*eye[:2, None])[0] + stance.altitude_m])
     if stance.tilt_deg is not None:
         pitch = stance.tilt_deg
         roll = 0.0
         lowers = [0]
-    # Between walls the way ahead is the view; in the open the camera turns to what lies there.
-    turning = 0.012 if world.terrain.banks is not None else 0.004
-    views = [
-        (pose(eye, heading + yaw, pitch + lower, roll), turning * abs(yaw) + 0.01 * abs(lower))
-        for yaw in (0, 14, -14, 28, -28, 45, -45, 70, -70)
-        for lower in lowers
-    ]
-    lookouts = [pose(eye, heading + side_deg, 20, 0) for side_deg in (50, -50)]
-    objects = world.objects
-    clear_m = world.look.clear_m
-    # Coarse ground ahead and beside, without the fine relief.
+    per_turned_deg = _PENALTY_PER_TURNED_DEG
+    if world.terrain.banks is not None:
+        per_turned_deg = _PENALTY_PER_TURNED_DEG_BETWEEN_WALLS
+
+    lookouts = _look_around(world, eye, heading)
+    rays = camera(_FLSEA_WIDTH_PX, _FLSEA_HEIGHT_PX).directions(np.eye(3), 32).reshape(-1, 3)
+    candidates = []
+    for yaw in _CANDIDATE_YAWS_DEG:
+        for lower in lowers:
+            candidate = pose(eye, heading + yaw, pitch + lower, roll)
+            view = _view_of(candidate, rays, lookouts)
+            penalty = _view_penalty(view, world.look.clear_m, world.first_own)
+            penalty += per_turned_deg * abs(yaw) + _PENALTY_PER_LOWERED_DEG * abs(lower)
+            candidates.append((penalty, candidate))
+    return min(candidates, key=lambda candidate: candidate[0])[1]
+
+
+class _Lookouts(NamedTuple):
+    """What the cameras to the left and to the right see, (H, W) each.
+
+    inverses: one over the depth, 0 where nothing is.  objects: number of the object, 0: none.
+    """
+
+    poses: tuple[Pose, ...]
+    inverses: tuple[Float32s, ...]
+    objects: tuple[Array, ...]
+
+
+def _look_around(world: SeabedWorld, eye: Float64s, heading: float) -> _Lookouts:
+    """Look to both sides over coarse ground ahead and beside, without the fine relief."""
     ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
     azimuths = np.deg2rad(heading) + np.deg2rad(np.linspace(-112, 112, 144))[None]
     x = eye[0] + ranges * np.cos(azimuths)
     y = eye[1] + ranges * np.sin(azimuths)
     ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).astype(np.float32)
-    images = []
-    for lookout in lookouts:
-        z_buffer = ZBuffer(lookout, _LOOKOUT, objects, ground, objects.instances > 0, clear_m)
-        images.append((z_buffer.inverse, z_buffer.shown[1]))
-    rays = camera(968, 608).directions(np.eye(3), 32).reshape(-1, 3)
-    length = np.sqrt((rays**2).sum(axis=1))
+    poses = tuple(
+        pose(eye, heading + side_deg, _LOOKOUT_PITCH_DEG, 0) for side_deg in _LOOKOUT_SIDES_DEG
+    )
+    has_instance = world.objects.instances > 0
+    clear_m = world.look.clear_m
+    buffers = [
+        ZBuffer(lookout, _LOOKOUT, world.objects, ground, has_instance, clear_m)
+        for lookout in poses
+    ]
+    inverses = tuple(buffer.inverse for buffer in buffers)
+    return _Lookouts(poses, inverses, tuple(buffer.shown[1] for buffer in buffers))
+
+
+class _RoughView(NamedTuple):
+    """What a candidate sees along R rays, (R,) each.
+
+    has_surface: whether a ray meets anything.  object_number: 0 where it meets none.
+    """
+
+    depth_m: Float64s
+    range_m: Float64s
+    has_surface: Bools
+    object_number: Array
+
+
+def _view_of(candidate: Pose, rays: Float64s, lookouts: _Lookouts) -> _RoughView:
+    """What a camera at the candidate's pose sees, looked up in the images of the lookouts.
+
+    rays: (R, 3) directions of pixels in the camera's axes, 1 along the optical axis.
+    """
     fx, fy, cx, cy = _LOOKOUT.lens
+    toward = np.einsum("ij,rj->ir", candidate.rotation, rays)
+    axes = [np.einsum("ij,ir->jr", lookout.rotation, toward) for lookout in lookouts.poses]
+    # The lookout on whose side a ray is: the one that looks more its way.
+    is_left = axes[0][2] >= axes[1][2]
+    x, y, ahead = np.where(is_left, *axes)
+    column = np.clip((x / ahead * fx + cx + 0.5).astype(np.int64), 0, _LOOKOUT.width - 1)
+    row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
+    inverse = np.where(is_left, *(plane[row, column] for plane in lookouts.inverses))
+    object_number = np.where(is_left, *(plane[row, column] for plane in lookouts.objects))
+    has_surface = inverse * ahead > 0
+    depth_m = 1 / np.where(has_surface, inverse * ahead, 1e-9)
+    range_m = depth_m * np.sqrt((rays**2).sum(axis=1))
+    return _RoughView(depth_m, range_m, has_surface, object_number)
 
-    def cost(candidate: Pose) -> float:
-        toward = np.einsum("ij,rj->ir", candidate.rotation, rays)
-        axes = [np.einsum("ij,ir->jr", lookout.rotation, toward) for lookout in lookouts]
-        # The lookout on whose side a ray is: the one that looks more its way.
-        left = axes[0][2] >= axes[1][2]
-        x, y, ahead = np.where(left, *axes)
-        column = np.clip((x / ahead * fx + cx + 0.5).astype(np.int64), 0, _LOOKOUT.width - 1)
-        row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
-        inverse, object_number = (
-            np.where(left, left_plane[row, column], right_plane[row, column])
-            for left_plane, right_plane in zip(*images, strict=True)
-        )
-        has_surface = inverse * ahead > 0
-        depth_m = 1 / np.where(has_surface, inverse * ahead, 1e-9)
-        range_m = depth_m * length
-        has_object = (object_number > 0) & (range_m < 0.8 * clear_m)
-        shown = np.unique(object_number[has_object])
-        own_count = np.count_nonzero(shown >= world.first_own)
 
-        missing_share = (range_m > clear_m).mean()
-        near_share = (depth_m < 0.9).mean()
-        object_share = has_object.mean()
-        middle_m = float(np.median(depth_m[has_surface])) if has_surface.any() else 99.0
-        # Up to a third out of sight is fine; none at all is not.
-        penalty = 8 * max(missing_share - 0.34, 0) + 60 * max(missing_share - 0.42 + 0.06, 0)
-        penalty += 30 * max(0.03 - missing_share, 0)
-        # Little right before the lens, and most at middle range.
-        penalty += 12 * max(near_share - 0.02, 0)
-        penalty += max(1.4 - middle_m, 0) + 0.4 * max(middle_m - 4, 0)
-        # Objects on up to a quarter of the image, of many kinds, one's own first.
-        penalty += 4 * max(object_share - 0.42, 0) - min(object_share, 0.25) * 4
-        penalty -= 0.05 * min(len(shown), 14)
-        return float(penalty) - 1.2 * min(own_count, 2)
+def _view_penalty(view: _RoughView, clear_m: float, first_own: int) -> float:
+    """How far a view is from a good one; weights and limits were chosen by looking at views.
 
-    return min(views, key=lambda view: cost(view[0]) + view[1])[0]
+    clear_m: range beyond which nothing has a depth.  first_own: number of the user's first object.
+    """
+    has_object = (view.object_number > 0) & (view.range_m < 0.8 * clear_m)
+    shown = np.unique(view.object_number[has_object])
+    own_count = np.count_nonzero(shown >= first_own)
+    missing_share = (view.range_m > clear_m).mean()
+    near_share = (view.depth_m < 0.9).mean()
+    object_share = has_object.mean()
+    middle_m = 99.0
+    if view.has_surface.any():
+        middle_m = float(np.median(view.depth_m[view.has_surface]))
+
+    # Up to a third out of sight is fine; none at all is not.
+    penalty = 8 * max(missing_share - 0.34, 0) + 60 * max(missing_share - 0.42 + 0.06, 0)
+    penalty += 30 * max(0.03 - missing_share, 0)
+    # Little right before the lens, and most at middle range.
+    penalty += 12 * max(near_share - 0.02, 0)
+    penalty += max(1.4 - middle_m, 0) + 0.4 * max(middle_m - 4, 0)
+    # Objects on up to a quarter of the image, of many kinds, one's own first.
+    penalty += 4 * max(object_share - 0.42, 0) - min(object_share, 0.25) * 4
+    penalty -= 0.05 * min(len(shown), 14)
+    return float(penalty) - 1.2 * min(own_count, 2)
