@@ -110,7 +110,7 @@ def denoise(
     if isinstance(image, RecordedFrame):
         geometry = image if isinstance(geometry, str) and geometry == "find" else geometry
         image = image.samples
-    weights, geometry, image = _of_pair(image, weights, geometry)
+    image, weights, geometry = _input_of(image, weights, geometry)
     values = _values_of(image)
     network = _loaded_denoiser(weights, device, strength, frames)
     is_single = values.ndim == 2 or values.shape[2] <= 4
@@ -146,19 +146,27 @@ _LEAST_INSIDE = 0.6
 _MOST_FRAMES = 31
 
 
-def _of_pair(image: Any, weights: Any, geometry: Any) -> tuple[Any, Any, Any]:
-    """Weights, geometry and image, of a `Pair` those of the pair where the caller left them out."""
+class _DenoiseInput(NamedTuple):
+    """What `denoise` works on: an image, and the weights and geometry that are meant for it."""
+
+    image: Any
+    weights: Any
+    geometry: Any
+
+
+def _input_of(image: Any, weights: Any, geometry: Any) -> _DenoiseInput:
+    """The input for `denoise`; a `Pair` states weights and geometry where the caller does not."""
     from .factory.dataset.schema import Pair
 
     if not isinstance(image, Pair):
-        return weights, geometry, image
+        return _DenoiseInput(image, weights, geometry)
     if weights is None and image.formation == "pointwise":
         from .models.pretrained import POINTS
 
         weights = POINTS
     if isinstance(geometry, str) and geometry == "find" and image.geometry is not None:
         geometry = image.geometry
-    return weights, geometry, image.noisy
+    return _DenoiseInput(image.noisy, weights, geometry)
 
 
 def _values_of(image: Any) -> Array:

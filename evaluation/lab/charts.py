@@ -57,21 +57,33 @@ def _middle(grey: UInt8s) -> Float32s:
 
 def radial_spectrum_db(image: Float32s) -> Float64s:
     """(48,) power in rings of equal width up to half a cycle a pixel, over their mean, dB."""
-    window, rings, sizes = _rings(*image.shape)
-    power = np.abs(np.fft.rfft2((image - image.mean()) * window)) ** 2
-    sums = np.bincount(rings.ravel(), power.ravel(), minlength=_RINGS + 1)[:_RINGS]
-    means = sums / sizes
+    rings = _rings(*image.shape)
+    power = np.abs(np.fft.rfft2((image - image.mean()) * rings.window)) ** 2
+    sums = np.bincount(rings.of_frequency.ravel(), power.ravel(), minlength=_RINGS + 1)[:_RINGS]
+    means = sums / rings.sizes
     return np.asarray(10 * np.log10(np.maximum(means / max(means.mean(), 1e-12), 1e-9)))
 
 
+class _SpectralRings(NamedTuple):
+    """Rings of equal width around frequency 0.
+
+    window: (H, W) Hann window of the image.  of_frequency: (H, W // 2 + 1) number of the ring of
+    each frequency, 48 beyond the last.  sizes: (48,) number of frequencies in each, at least 1.
+    """
+
+    window: Float32s
+    of_frequency: npt.NDArray[np.intp]
+    sizes: Float64s
+
+
 @lru_cache(maxsize=4)
-def _rings(rows: int, columns: int) -> tuple[Float32s, npt.NDArray[np.intp], Float64s]:
-    """Hann window, ring of each frequency (48: beyond them), and frequencies in each ring."""
+def _rings(rows: int, columns: int) -> _SpectralRings:
+    """The rings of images of so many rows and columns."""
     window = np.outer(np.hanning(rows), np.hanning(columns)).astype(np.float32)
     cycles = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns)[None, :])
     rings = np.minimum((cycles / 0.5 * _RINGS).astype(np.intp), _RINGS)
     sizes = np.bincount(rings.ravel(), minlength=_RINGS + 1)[:_RINGS]
-    return window, rings, np.maximum(sizes, 1).astype(np.float64)
+    return _SpectralRings(window, rings, np.maximum(sizes, 1).astype(np.float64))
 
 
 def _normalised(correlation: Float64s) -> list[float]:

@@ -290,8 +290,9 @@ def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
     """
     flat = points[:, :2].astype(np.float64)
     middle = flat.mean(axis=0)
-    coarse, _, _ = _narrowest(flat - middle, np.arange(0.0, 90.0))
-    yaw_deg, extent, centre = _narrowest(flat - middle, coarse + 0.05 * np.arange(-20, 21))
+    coarse = _narrowest(flat - middle, np.arange(0.0, 90.0))
+    steps_deg = 0.05 * np.arange(-20, 21)
+    yaw_deg, extent, centre = _narrowest(flat - middle, coarse.yaw_deg + steps_deg)
     low = float(points[:, 2].min())
     high = float(points[:, 2].max())
     yaw = np.deg2rad((yaw_deg + (0 if extent[0] >= extent[1] else 90) + 90) % 180 - 90)
@@ -299,8 +300,16 @@ def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
     return x, y, (low + high) / 2, *sorted(extent.tolist(), reverse=True), high - low, float(yaw)
 
 
-def _narrowest(flat: Float64s, yaws_deg: Float64s) -> tuple[float, Float64s, Float64s]:
-    """Yaw, extent along and across it, and centre of the least rectangle around (V, 2) points."""
+class _Rectangle(NamedTuple):
+    """A level rectangle: extent along and across its yaw, (2,), and centre, (2,)."""
+
+    yaw_deg: float
+    extent: Float64s
+    centre: Float64s
+
+
+def _narrowest(flat: Float64s, yaws_deg: Float64s) -> _Rectangle:
+    """The rectangle of least area around (V, 2) points, of those at the given yaws."""
     cosine = np.cos(np.deg2rad(yaws_deg))
     sine = np.sin(np.deg2rad(yaws_deg))
     axes = np.array([[cosine, -sine], [sine, cosine]])
@@ -309,7 +318,7 @@ def _narrowest(flat: Float64s, yaws_deg: Float64s) -> tuple[float, Float64s, Flo
     most = turned.max(axis=0)
     at = int(np.argmin(np.prod(most - least, axis=0)))
     centre = axes[:, :, at] @ (most + least)[:, at] / 2
-    return float(yaws_deg[at]), (most - least)[:, at], centre
+    return _Rectangle(float(yaws_deg[at]), (most - least)[:, at], centre)
 
 
 def moved(start: Pose, movement: Mapping[str, float]) -> Pose:

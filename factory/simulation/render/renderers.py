@@ -13,7 +13,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -253,11 +253,18 @@ def _one_core() -> Iterator[None]:
                 os.sched_setaffinity(int(thread), cores)
 
 
-def _stage(bpy: Any) -> tuple[Any, Any, Any]:
+class _Stage(NamedTuple):
+    """Blender's objects for a scene, its camera, and the sonar as a light."""
+
+    scene: Any
+    camera: Any
+    light: Any
+
+
+def _stage(bpy: Any) -> _Stage:
     """A scene that renders direct light exactly at pixel centres, the same bytes every time.
 
-    With a camera at the origin, looking along +z with y down, and the sonar's light, returned after
-    the scene.  World axes are therefore the camera axes of `simulation.frames.frame`.
+    Its camera lies at the origin and looks along +z, with y down.  World axes are therefore the camera axes of `simulation.frames.frame`.
     """
     scene = bpy.data.scenes.new("sonar")
     render = scene.render
@@ -298,7 +305,7 @@ def _stage(bpy: Any) -> tuple[Any, Any, Any]:
     light.data.shadow_soft_size = 0
     light.data.use_soft_falloff = False
     scene.collection.objects.link(light)
-    return scene, camera, light
+    return _Stage(scene, camera, light)
 
 
 def _aim(scene: Any, lens: Any, intrinsics: Intrinsics, height: int, width: int) -> None:
