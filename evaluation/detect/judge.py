@@ -121,7 +121,7 @@ Results = dict[tuple[int, str], DetectionResult]
 def judge(
     settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
 ) -> DetectionOutcome:
-    """All figures.  Raises FactoryError where no recording can be judged."""
+    """Judge every row on every recording.  Raises FactoryError where no recording can be judged."""
     networks = networks_at(settings.models)
     recordings, notes = _static_recordings(stretches, settings.limit)
     notes += learned_notes(stretches, networks)

@@ -45,8 +45,8 @@ class _Rendered(NamedTuple):
 class Session:
     """What the words of `simnfnd lab` mean, and the pairs of one frame under changed parameters.
 
-    words: of `simnfnd make`.  frames: of the configuration, in order.
-    parameters: those that may be changed.
+    words: the words of `simnfnd make`.  frames: all frames of the configuration, in order.
+    parameters: the controls of all parameters that may be changed.
     """
 
     def __init__(self, words: Sequence[str]) -> None:
@@ -104,7 +104,7 @@ class Session:
         return self._maker_of(config, ref).pairs(ref, variants, config.noise)
 
     def _maker_of(self, config: FactoryConfig, ref: FrameRef) -> PairMaker:
-        """The previous one where the noise alone has changed: it keeps the observed frame."""
+        """The maker of pairs; the previous one, which keeps the observed frame, if it fits."""
         view = self._view_of(config, ref)
         if self._maker is None or not _differs_in_noise_alone(self._maker, config, ref, view):
             self._maker = PairMaker(config, Views({ref: view}), kept_frames=1)
@@ -124,7 +124,7 @@ class Session:
     ) -> dict[str, str]:
         """Keys that have no effect, each with the reason.
 
-        named: the changed ones.
+        named: the changed keys, beside which others may gain an effect.
         """
         reasons = {key: reason_without_effect(config, key, named) for key in keys}
         return {key: reason for key, reason in reasons.items() if reason is not None}
@@ -144,7 +144,7 @@ class Session:
 
     def _acting(self, config: FactoryConfig, changes: Changes) -> Changes:
         acting = dict(changes)
-        # One that does nothing may have been what another one was named beside.
+        # A change may act only beside another one, so look again once one is left out.
         while inert := self.inert(config, acting, acting):
             acting = {key: value for key, value in acting.items() if key not in inert}
         return acting
@@ -158,7 +158,7 @@ def _differs_in_noise_alone(
 
 
 def _render(config: FactoryConfig, ref: FrameRef) -> View:
-    """A frame's render: of the cache or pack where it is there, else made."""
+    """The render of a frame, from the cache or pack if it is there, else made."""
     views = open_views(config)
     try:
         return views.view(ref)

@@ -40,8 +40,8 @@ def call_isolated(
 ) -> Any:
     """Run a function that reads a possibly untrusted file in a process that is kept.
 
-    path: named in the error.  function: of a module, importable.  Arguments and answer are what
-    JSON can hold; a path arrives as text.
+    path: the file that errors name.  function: a function of a module, importable.
+    Arguments and answer are what JSON can hold; a path arrives as text.
     Raises FactoryError when the function does, when the process dies of the file, or when it takes
     longer than `limit_s` or more memory than a sound file needs.
     """
@@ -101,7 +101,10 @@ class IsolatedProcess:
             raise
 
     def close(self, patience_s: float = 0) -> int | None:
-        """Kill the process, unless it ends before; its exit code.  The next call starts another."""
+        """Kill the process unless it ends within the time; returns its exit code.
+
+        The next call starts another one.
+        """
         child = self._child
         self._child = None
         if child is None:
@@ -115,7 +118,7 @@ class IsolatedProcess:
 
 
 LASTING = IsolatedProcess()
-"""That of `call_isolated`."""
+"""The process of `call_isolated`."""
 
 
 def _encode(value: Any) -> bytes:

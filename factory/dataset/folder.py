@@ -18,12 +18,12 @@ from .schema import DATASET_NAME, SCHEMA, SPLITS, Provenance, plain_values
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
-# Of workers that crashed; a run that ends normally removes them.
+# Folder of what workers leave when they crash; a run that ends normally removes it.
 WORK_NAME = ".work"
 STATUS_NAME = "status.json"
 
-# Names of what comes and goes with runs, and of where a copy comes from.
-_COMING = (".lock", ".origin", WORK_NAME)
+# Files that come and go with runs, and the one that states where a copy comes from.
+_PASSING = (".lock", ".origin", WORK_NAME)
 _SHOWN = 6
 
 
@@ -39,8 +39,8 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
     if directory.exists() and not directory.is_dir():
         raise FactoryError(f"dataset.dir: {directory} is a file; give a folder with dataset.dir=")
     names = sorted(entry.name for entry in directory.iterdir()) if directory.exists() else []
-    foreign = [n for n in names if not (is_temporary(n) or n.startswith(_COMING))]
-    # Asked later: another slice may make the folder a dataset just now.
+    foreign = [n for n in names if not (is_temporary(n) or n.startswith(_PASSING))]
+    # Asked after the listing: another slice may make the folder a dataset meanwhile.
     ours = any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME))
     if foreign and not ours:
         shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
@@ -62,7 +62,7 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
         values = plain_values(provenance.config)
         manifest = Manifest(provenance.config_hash, provenance.generator, values)
         save_manifest(directory, manifest)
-        # A manifest.json that was lost takes what lies beside the shards in again.
+        # If manifest.json was lost, the records beside the shards restore it.
         manifest = load_manifest(directory) or manifest
     return manifest
 

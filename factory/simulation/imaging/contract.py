@@ -30,8 +30,8 @@ class SceneSample(ABC):
     """One sample of a scene.
 
     Images are (range_bins, beams) float32 grey values, 0 to 1, and 0 in beams without data.
-    effects: those drawn for it.  clouds: of each of stage points.
-    rate: fraction of the scene's points that are kept.  points: number of those in the images.
+    effects: the effects drawn for it.  clouds: what each effect of stage points makes.
+    rate: fraction of the scene's points that are kept.  points: number of points in the images.
     full_scale: echo intensity, after time-varying gain, that is shown as grey value 1.
     """
 
@@ -53,7 +53,7 @@ class SceneSample(ABC):
 
     @abstractmethod
     def noisy(self, effects: Collection[str]) -> Float32s:
-        """The image with those of the drawn effects that are named."""
+        """The image with the named ones of the drawn effects alone."""
 
     def without(self, artefacts: Collection[str]) -> Float32s:
         """The image as it would be without these artefacts, under the same random streams.

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.array_types import Float32s, Float64s, Int32s, Int64s, UInt32s
+from ..frames.axes import turned
 from ..sonar.ghosts import arrivals_m, lengths
 from .cells import cell_names, occupied_cells
 
@@ -21,7 +22,10 @@ _DIRECTION_SALTS = np.array([0x3C6EF372, 0xA54FF53A], np.uint32)
 
 
 class GhostPoints(NamedTuple):
-    """names: (M,) uint32.  powers: (M,) float32.  sonar_m: (3, M) places in sonar axes."""
+    """Cells of mirror images as one point each.
+
+    names: (M,) uint32.  powers: (M,) float32.  sonar_m: (3, M) places in sonar axes, metres.
+    """
 
     names: UInt32s
     powers: Float32s
@@ -54,7 +58,7 @@ class GhostScatterers:
         cells = self._cells(edge_m)
         occupied = occupied_cells(cells, self._names(cells), self.powers, edge_m)
         turn = self.world_from_sonar[:, :3]
-        image_m = _turned(turn.T, occupied.points_m - self.world_from_sonar[:, 3])
+        image_m = turned(turn.T, occupied.points_m - self.world_from_sonar[:, 3])
         second_m = self._beside_second_m(occupied.first, image_m)
         arrivals = np.stack(arrivals_m(image_m, second_m))
         direction = self.direction[occupied.first]
@@ -62,7 +66,7 @@ class GhostScatterers:
         return GhostPoints(occupied.names, occupied.powers, sonar_m)
 
     def _cells(self, edge_m: float) -> Int64s:
-        world_m = _turned(self.world_from_sonar[:, :3], self.image_m) + self.world_from_sonar[:, 3]
+        world_m = turned(self.world_from_sonar[:, :3], self.image_m) + self.world_from_sonar[:, 3]
         return np.asarray(np.floor(world_m / edge_m), np.int64)
 
     def _names(self, cells: Int64s) -> UInt32s:
@@ -75,9 +79,3 @@ class GhostScatterers:
         step_m = image_m - self.image_m[index]
         along_normal_m = (step_m * normal).sum(axis=1, keepdims=True)
         return np.asarray(self.second_m[index] + step_m - 2 * along_normal_m * normal)
-
-
-def _turned(matrix: Float64s, points: Float64s) -> Float64s:
-    """(N, 3) points times a (3, 3) matrix, summed in one order on every machine."""
-    x, y, z = points.T
-    return np.stack([line[0] * x + line[1] * y + line[2] * z for line in matrix], axis=-1)

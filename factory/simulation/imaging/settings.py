@@ -86,7 +86,7 @@ AcousticsSettings = Annotated[
 
 Formation = Literal["pointwise", "coherent"]
 FORMATION_NAMES_OF_0_4: dict[str, Formation] = {"points": "pointwise", "field": "coherent"}
-"""In the configurations of datasets that version 0.4 wrote."""
+"""Names in the configurations of datasets that version 0.4 wrote -> names of today."""
 SETTINGS_OF: dict[Formation, type[PointwiseSettings] | type[CoherentSettings]] = {
     "pointwise": PointwiseSettings,
     "coherent": CoherentSettings,
@@ -106,7 +106,10 @@ def formation_of(key: str) -> Formation | None:
 
 @dataclass(frozen=True, config=STRICT)
 class ResampleSettings:
-    """Keys of `resample`: how points are chosen; rate: fraction of them that is kept, in (0, 1]."""
+    """Keys of `resample`: how many points the sonar resolves.
+
+    kind: how they are chosen.  rate: fraction of them that is kept, in (0, 1].
+    """
 
     kind: Literal["random"] = "random"
     rate: PositiveFraction = parse({"uniform": [0.35, 0.9]}, 1e-6, 1.0)
@@ -150,7 +153,7 @@ def with_materials(
 
 
 def _listed(path: Path) -> list[OwnClass]:
-    """The lines of a file."""
+    """The classes that a CSV file of materials lists."""
     key = f"acoustics.materials={path}"
     expected = "expected class,reflectivity_db,lambert_exponent"
     try:

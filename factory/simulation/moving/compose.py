@@ -16,6 +16,7 @@ import numpy as np
 
 from ...common.array_types import Bools, Float64s, Floats, Int32s, Int64s
 from ...common.seeds import spawn_key
+from ..frames.axes import turned
 from ..frames.frame import Frame, MovingPixels
 from ..meshes.triangle_mesh import vertex_normals
 from ..render.base import Mount, Rendered
@@ -48,15 +49,8 @@ class PosedBody:
     def camera_m(self, own_m: Floats) -> Float64s:
         """See `Body`."""
         bent = self.actor.bent(own_m, self.time_s)
-        world = _turned(self.placement.world_from_own, bent) + self.placement.position_m
-        return _turned(self.camera_from_world[:3, :3], world) + self.camera_from_world[:3, 3]
-
-
-def _turned(matrix: Float64s, points: Float64s) -> Float64s:
-    """(N, 3) points times a (3, 3) matrix, summed in one order on every machine."""
-    x, y, z = points.T
-    rows = [matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z for k in range(3)]
-    return np.stack(rows, axis=-1)
+        world = turned(self.placement.world_from_own, bent) + self.placement.position_m
+        return turned(self.camera_from_world[:3, :3], world) + self.camera_from_world[:3, 3]
 
 
 class Composed(NamedTuple):
@@ -93,7 +87,7 @@ def bodies_at(cast: Sequence[Actor], frame: Frame, time_s: float) -> list[PosedB
     turn = pose[:3, :3].T
     camera_from_world = np.eye(4)
     camera_from_world[:3, :3] = turn
-    camera_from_world[:3, 3] = -_turned(turn, pose[None, :3, 3])[0]
+    camera_from_world[:3, 3] = -turned(turn, pose[None, :3, 3])[0]
     bodies = []
     for actor in cast:
         placement = actor.course.at(time_s)

@@ -264,7 +264,8 @@ class _Stage(NamedTuple):
 def _stage(bpy: Any) -> _Stage:
     """A scene that renders direct light exactly at pixel centres, the same bytes every time.
 
-    Its camera lies at the origin and looks along +z, with y down.  World axes are therefore the camera axes of `simulation.frames.frame`.
+    Its camera lies at the origin and looks along +z, with y down.  World axes are therefore the
+    camera axes of `simulation.frames.frame`.
     """
     scene = bpy.data.scenes.new("sonar")
     render = scene.render
