@@ -11,12 +11,12 @@ from .measure import Grey
 
 SIDE = 16
 """Edge of a window in cells of the polar grid."""
-_PART = 4
-_SHARE = 0.2
-_DARKEST = 0.02
+_PART = 4  # edge of the parts of a window, cells
+_SHARE = 0.2  # share of the windows that count as even
+_DARKEST = 0.02  # mean grey value of a window below which it is clipped to black
 
-_SMOOTH = 31
-_LAGS = 24
+_SMOOTH = 31  # side of the window whose mean and deviation are taken out of the grain, cells
+_LAGS = 24  # lags of the autocorrelation
 
 # One grey step of 8 bits: where a level in dB is needed, black counts as this.
 _STEP = 1 / 255
@@ -106,8 +106,8 @@ def speckle(polar: Floats) -> tuple[float, float]:
 def half_widths(polar: Grey) -> tuple[float, float]:
     """Lags along range and bearing, in cells, where the speckle's autocorrelation is one half.
 
-    What is larger than 31 cells is taken out first: the local mean is subtracted and the local
-    standard deviation divides.  NaN for an image without any variation.
+    Structure larger than 31 cells is removed first: by subtracting the local mean and dividing by
+    the local standard deviation.  NaN for an image without any variation.
     """
     grain = grain_of(polar)
     first, second = (_half(autocorrelation(grain, axis)) for axis in (0, 1))

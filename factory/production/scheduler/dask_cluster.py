@@ -20,17 +20,21 @@ from ...common.errors import FactoryError
 from ...common.workers import ERROR, Backend, Task, WorkerDied, answered
 from ...common.workers.template import THREAD_VARIABLES
 
-_CONNECT_S = 20.0
-_STOP_S = 4.0
-_LOOK_S = 1.0
-# A worker's start, and the way of a result that a worker has ready.
-_START_S = 120
-_RESULT_S = 60
-_RESTART_S = 30
+_CONNECT_S = 20.0  # most time to reach the scheduler
+_STOP_S = 4.0  # most time to close the cluster
+_LOOK_S = 1.0  # time between two looks for tasks that are late
+_START_S = 120  # most time for a worker to start
+_RESULT_S = 60  # most time to fetch a finished result
+_RESTART_S = 30  # most time for an answer of the scheduler
 
 
 @dataclass(eq=False)
 class _Sent:
+    """A task that was sent to a worker.
+
+    future: what the caller waits for.  remote: Dask's future.  heard_at: time of the last message.
+    """
+
     task: Task
     future: Future[Any]
     remote: Any
@@ -54,7 +58,7 @@ class DaskBackend(Backend):
         self._cluster: Any = None
         self._client: Any = None
         self._tasks: dict[str, _Sent] = {}
-        # Their workers are being restarted.
+        # Tasks whose workers are being restarted.
         self._late: list[_Sent] = []
         self._topic = f"simnfnd-{uuid.uuid4().hex}"
         self._lock = threading.Lock()
@@ -99,7 +103,7 @@ class DaskBackend(Backend):
             )
 
     def _ask_scheduler(self, method: str, **arguments: Any) -> Any:
-        """The scheduler's answer."""
+        """Call a method of the scheduler and return its answer."""
         function = getattr(self._client.scheduler, method)
         return self._client.sync(function, **arguments, callback_timeout=_RESTART_S)
 
@@ -109,7 +113,7 @@ class DaskBackend(Backend):
             return len(self._tasks) + len(self._late) < self._workers
 
     def submit(self, task: Task) -> Future[Any]:
-        """Send it to a worker."""
+        """Send a task to a worker; returns its future result."""
         name = uuid.uuid4().hex
         remote = self._client.submit(
             _run, task.request(), self._topic, name, key=f"task-{name}", pure=False, retries=0

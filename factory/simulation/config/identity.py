@@ -29,7 +29,7 @@ from ..scenes.seabed import SeabedSettings
 from .renderer_choice import renderer_of
 from .root import FactoryConfig, plain
 
-# Keys that came later, each with the value that leaves a dataset and its hash as they were.
+# Keys added after 0.1, each with the value at which a dataset and its hash stay as they were.
 _LATER: dict[str, Any] = {
     "frames.total": None,
     "scenes.own_objects": [],
@@ -60,7 +60,7 @@ _LATER: dict[str, Any] = {
     "sonar.array.beam_groups": 1,
     "acoustics.lambert_exponents": {},
 }
-# Keys that went, each with the value that all datasets have now.
+# Keys that were removed, each with the value that all datasets have now.
 _GONE_SCENES: dict[str, dict[str, Any]] = {
     "flsea": {"undistort": False},
     "csv_list": {"undistort": False, "distortion": []},
@@ -68,7 +68,7 @@ _GONE_SCENES: dict[str, dict[str, Any]] = {
 _GONE_RENDER = {"geometry": "auto", "stride": "auto", "samples": 1}
 # The name of acoustics=coherent when hashes began.
 _COHERENT = "field"
-# Keys of groups that leave the samples as they are.
+# Keys of groups that do not change the samples.
 _NO_BYTES = {
     "dataset": ("dir", "name", "preview_pairs", "licence"),
     "acoustics": ("materials",),

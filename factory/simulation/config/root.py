@@ -103,38 +103,9 @@ class FactoryConfig:
 
 
 def _conflicts(config: FactoryConfig) -> Iterator[str]:
-    """One line for each contradiction."""
-    if config.render.kind == "analytic" and not config.sonar.mount.colocated:
-        yield (
-            "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
-            "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
-        )
-    if config.render.bounces and config.render.kind in ("analytic", "cycles"):
-        yield (
-            f"render.bounces={config.render.bounces}: render={config.render.kind} traces no "
-            "bounces; set render=embree, or render.bounces=0"
-        )
-    for name in ("altitude_m", "tilt_deg"):
-        drawn = isinstance(config.scenes, SeabedSettings) or (
-            isinstance(config.scenes, MeshSettings) and config.scenes.poses is None
-        )
-        if getattr(config.sonar, name) is not None and not drawn:
-            yield (
-                f"sonar.{name}: the poses of scenes={config.scenes.kind} are recorded ones; leave "
-                "it out, or use scenes=seabed"
-            )
-    sonar = config.sonar
-    if sonar.altitude_m is not None and not sonar.mount.colocated:
-        if sonar.tilt_deg is None:
-            yield (
-                "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
-                "give sonar.tilt_deg, too"
-            )
-        elif sonar.tilt_deg.kind != "number":
-            yield (
-                "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
-                "give sonar.tilt_deg as a number, or set sonar.mount.translation_m=[0, 0, 0]"
-            )
+    """A sentence for each contradiction between groups; the first one is shown."""
+    yield from _conflicts_of_renderer(config)
+    yield from _conflicts_of_stance(config)
     if config.devices is not None:
         yield from _conflicts_of_drawn_devices(config)
         if config.devices.field_share is None and not isinstance(
@@ -145,6 +116,50 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
         yield from _conflicts_of_pointwise(config)
     else:
         yield from _conflicts_of_coherent(config)
+    yield from _conflicts_of_moving_objects(config)
+    yield from _conflicts_of_labels(config)
+
+
+def _conflicts_of_renderer(config: FactoryConfig) -> Iterator[str]:
+    if config.render.kind == "analytic" and not config.sonar.mount.colocated:
+        yield (
+            "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
+            "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
+        )
+    if config.render.bounces and config.render.kind in ("analytic", "cycles"):
+        yield (
+            f"render.bounces={config.render.bounces}: render={config.render.kind} traces no "
+            "bounces; set render=embree, or render.bounces=0"
+        )
+
+
+def _conflicts_of_stance(config: FactoryConfig) -> Iterator[str]:
+    """Contradictions of the height and tilt of the sonar."""
+    sonar = config.sonar
+    draws_poses = isinstance(config.scenes, SeabedSettings) or (
+        isinstance(config.scenes, MeshSettings) and config.scenes.poses is None
+    )
+    for name in ("altitude_m", "tilt_deg"):
+        if getattr(sonar, name) is not None and not draws_poses:
+            yield (
+                f"sonar.{name}: the poses of scenes={config.scenes.kind} are recorded ones; leave "
+                "it out, or use scenes=seabed"
+            )
+    if sonar.altitude_m is None or sonar.mount.colocated:
+        return
+    if sonar.tilt_deg is None:
+        yield (
+            "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
+            "give sonar.tilt_deg, too"
+        )
+    elif sonar.tilt_deg.kind != "number":
+        yield (
+            "sonar.altitude_m: the height of a sonar away from the camera depends on the tilt; "
+            "give sonar.tilt_deg as a number, or set sonar.mount.translation_m=[0, 0, 0]"
+        )
+
+
+def _conflicts_of_moving_objects(config: FactoryConfig) -> Iterator[str]:
     moves = config.scenes.has_moving_objects
     if "tracks" in config.dataset.columns and not moves:
         yield (
@@ -166,6 +181,9 @@ def _conflicts(config: FactoryConfig) -> Iterator[str]:
             "dataset.layers: rgb and depth do not show moving objects; leave them out, or leave "
             "scenes.moving_objects out"
         )
+
+
+def _conflicts_of_labels(config: FactoryConfig) -> Iterator[str]:
     if "visibility" in config.dataset.columns and "segmentation" not in config.dataset.layers:
         yield (
             "dataset.columns: visibility is of the objects in the layer segmentation; set "

@@ -148,7 +148,10 @@ def _run(effect: Effect) -> None:
 
 
 def _drawn(effect: Effect, rng: Rng, *, widest: bool) -> dict[str, Value]:
-    """Parameters by their defaults; widest: by the upper ends of their limits, where there are."""
+    """Draw parameters by their defaults.
+
+    widest: take the upper end of a parameter's limits instead, where it has one.
+    """
     defaults = _validated_defaults(effect.settings)
     values: dict[str, Value] = {}
     for item in effect.parameters:
@@ -197,7 +200,10 @@ def _check_echoes(result: Any) -> None:
 
 
 def _check_array(name: str, values: Any, shape: tuple[int, ...], *, looks: bool = False) -> None:
-    """looks: whether the first size may be another: independent looks."""
+    """Raise _Wrong unless `values` are finite floats of this shape.
+
+    looks: whether the first size may differ, as that of independent looks.
+    """
     if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
         kind = values.dtype if isinstance(values, np.ndarray) else type(values).__name__
         raise _Wrong(f"returns {name} as {kind}; give an array of float32")
