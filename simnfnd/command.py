@@ -93,7 +93,7 @@ def find(words: Sequence[str]) -> _Command:
         raise FactoryError(
             f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
         )
-    # By the last word, too: people leave `evaluate` out.
+    # The last word alone counts, too: people leave `evaluate` out.
     name_by_last_word = {full_name.rpartition(" ")[2]: full_name for full_name in VERBS}
     close_words = difflib.get_close_matches(word, name_by_last_word, n=3, cutoff=0.5)
     if word in close_words:

@@ -33,7 +33,7 @@ from .rivals.dual_tree import dual_tree
 from .rivals.lpmsde import lpmsde
 from .rivals.sar2sar import sar2sar
 
-# Of the image that methods of other packages are tried on, pixels.
+# Side of the image that methods of other packages are tried on, pixels.
 _TRIAL_SIDE = 48
 
 Number = int | float

@@ -281,7 +281,7 @@ def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> 
             break
     for name, axis in baseline.grid.items():
         best = _finer(best, name, axis, value)
-    # Of equal ones the first, which is nearer to the default.
+    # Among equal points the first one counts, which is nearer to the default.
     tried = sorted(
         known.values(), key=lambda point_score: (point_score[1] != best, -point_score[0])
     )

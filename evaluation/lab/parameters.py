@@ -31,7 +31,7 @@ _UNITS = {
     "m": "m",
     "s": "s",
 }
-"""By the ending of a key; the longest that fits."""
+"""Units by the ending of a key; the longest ending that fits counts."""
 _WRITTEN_UNITS = {"1": "", "deg": "degrees"}
 _STEPS_OF_A_SLIDER = 200
 _DECIBELS_BESIDE = 20.0

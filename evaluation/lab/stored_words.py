@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ...factory.simulation.config.root import FactoryConfig
 
 _GROUPS = ("scenes", "render", "resample", "noise", "sonar", "water", "acoustics", "devices")
-"""Those that decide images; frames, split and files are the business of whoever makes a dataset."""
+"""Groups that decide images; frames, split and files are up to whoever makes a dataset."""
 _ABSENT = object()
 
 

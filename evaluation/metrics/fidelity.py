@@ -25,7 +25,7 @@ SSIM_SMALLEST = 2 * RADIUS_PX + 1
 """Pixels a side: the window of SSIM must fit once."""
 
 GMSD_C = 170.0
-"""Of Xue et al. 2014, for grey values 0..255."""
+"""Constant of Xue et al. 2014, for grey values 0..255."""
 GMSD_SMALLEST = 6
 """Pixels a side of the pooled GMSD: three blocks for Prewitt's kernel."""
 

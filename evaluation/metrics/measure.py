@@ -21,7 +21,7 @@ Figures = dict[str, float]
 SHADOW = 0.02
 """A pixel counts as shadow at or below this fraction of full scale."""
 SIDE = 16
-"""Of an even zone, pixels."""
+"""Edge of an even zone, pixels."""
 _DARK = 0.01  # of full scale: below, a ratio says nothing
 _BEYOND_GRAIN = 4
 """Pixels over which a ratio image is compared with itself: grain of sonars is narrower."""

@@ -153,7 +153,7 @@ def parts_of(groups: Sequence[Group]) -> list[GroupPart]:
         half = count // 2
         tuning = {0: tuple(evenly(range(half), MOST_FRAMES))}
         return [GroupPart(tuple(range(half, count)), 0, tuning)]
-    # Of many groups a part is enough to tune on.
+    # A part of many groups is enough to tune on.
     most = MOST_FRAMES // FRAMES_OF_A_GROUP
     used = {n for fold in range(FOLDS) for n in evenly(range(fold, len(groups), FOLDS), most)}
     parts = []

@@ -41,7 +41,7 @@ FAR = 15
 """Frames up to so far from one are a denoiser's; those beyond, up to so far, make the reference."""
 LEAST_FRAMES = 12
 WEIGHTS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
-"""Of the total variation that is tuned."""
+"""Weights of the total variation that are tried."""
 
 _OF_NETWORK = ("one frame", "fused and denoised")  # the other rows are there once
 _LIMIT_S = 3600.0  # for a recording and a network
@@ -298,7 +298,7 @@ def _judged(task: tuple[int, list[Group], Method, str, int]) -> _Judgement:
     tuning = [next(kinds_of(_frames(recording, most))) for recording in others]
     tuned_on = ", ".join(recording.name for recording in others)
     if not others:
-        # Of a single recording the half that comes first, and the whole is judged: said so.
+        # A single recording is tuned on its first half and judged as a whole, which a note states.
         half = frames[: max(len(frames) // 2, LEAST_FRAMES)]
         tuning = [next(kinds_of(half))]
         tuned_on = f"the first {len(half)} frames of itself"

@@ -19,7 +19,7 @@ _SHORT = ("ssim", "gmsd", "psnr_fan", "shadow_iou")
 _RULES = {"l": "---", "r": "---:", "c": ":---:"}
 
 TABLE_METRICS = ("psnr", "ssim", "gmsd")
-"""Those of the paper's tables."""
+"""Metrics of the paper's tables."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,9 @@ METRIC_NAMES = {
     "ratio_variance": Metric("ratio variance", 3, 0),
     "ratio_correlation": Metric("ratio correlation", 3, 0),
 }
-"""In the order of the tables.  ENL rewards blur, and doing nothing leaves a perfect ratio image:
-neither ranks methods alone."""
+"""Metrics in the order of the tables.
+
+ENL rewards blur, and doing nothing leaves a perfect ratio image: neither ranks methods alone."""
 
 
 def plain(value: float | None) -> float | None:

@@ -230,7 +230,7 @@ def temporary_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-# Of this process.
+# Folders of this process whose writes are forwarded, and the functions that forward them.
 _forwarders: list[tuple[Path, Callable[[str, bytes | None], None]]] = []
 
 

@@ -30,7 +30,7 @@ LIMIT_S = 60.0
 _ALARM = 14
 """Number of SIGALRM, which Windows does not have; there it is an exit code."""
 
-# Beyond what the process has after its imports; an image has 64 MB at most.
+# Memory beyond what the process has after its imports; an image has 64 MB at most.
 _MEMORY_BYTES = 800 << 20
 _MOST_ANSWER_BYTES = 1 << 28
 

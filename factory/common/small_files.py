@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 MOST_BYTES = 1 << 24
-# Of settings.  The time of YAML's numbers in base sixty grows with the square of their length.
+# Most bytes of settings; reading YAML's numbers in base sixty takes time that grows with the
+# square of their length.
 _MOST_YAML_BYTES = 1 << 18
 _MOST_DEPTH = 64
 # Windows has no pipes that wait here, and would translate line ends.

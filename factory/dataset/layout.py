@@ -105,7 +105,7 @@ def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
 
 
 def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
-    # By its name: HDF5 dies of some numbers that stand in place of a reference.
+    # The axis is found by its name: HDF5 crashes on some numbers in place of a reference.
     name = str(stack.dims[dimension].label)
     size = stack.shape[dimension]
     scale = dataset_inside(stack.file, f"axes/{name}")
@@ -198,7 +198,7 @@ def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> N
     problem = layer.size_problem(tuple(image_shape), shape[1:])
     if samples != shape[0]:
         problem = f"has {samples} images, /noisy {shape[0]}"
-    # Of the same layer in other shards, too: grey values are all of one dtype.
+    # The type must be that of the layer in other shards, too.
     elif str(stack.dtype) != layer.dtype or stack.chunks != (1, *image_shape):
         problem = problem or (
             f"is {stack.dtype} in chunks {stack.chunks}; expected {layer.dtype}, one chunk "

@@ -28,7 +28,7 @@ CONFIG_NAME = "config.yaml"
 PARTS = ("merged", "extends")
 FAILURE_KEYS = ("frame", "shard", "kind", "reason", "command")
 
-# Of 300,000 shards, which take some 400 bytes each.
+# Room for 300,000 shards, which take some 400 bytes each.
 _MAX_BYTES = 1 << 27
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/[A-Za-z0-9_-]+\.h5")
 
@@ -224,7 +224,7 @@ def damage(directory: Path, info: ShardInfo) -> str | None:
 
 
 Lines = list[dict[str, str]]
-"""Of failed.jsonl, one for each frame that gave no sample."""
+"""Lines of failed.jsonl, one for each frame that gave no sample."""
 
 
 def save_outcome(

@@ -116,7 +116,7 @@ class PairDataset:
         self.paths = tuple(shard_infos)
         if not trusted:
             check_in_isolation(self.paths)
-        # Of the settings that it was made with, the last ones if it was extended.
+        # The hash of the settings that made it, the last ones if it was extended.
         self.config_hash = manifest.config_hash if manifest else self.form.config_hash
         self._counts = [
             info.samples if info else _count(path) for path, info in shard_infos.items()

@@ -17,7 +17,7 @@ PSNR_CAP_DB = 100.0
 
 SIGMA_PX = 1.5
 RADIUS_PX = 5
-"""Of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
+"""Radius of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
 
 
 def noisiness(directory: Path, most: int = 200) -> dict[str, float]:

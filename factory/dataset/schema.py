@@ -114,7 +114,7 @@ _CORE_LAYERS = (
     _grey("clean", "noise-free sonar image of the same scene; target of a denoiser"),
     Layer("shadow", "bool", "inside the sector, where no echo arrives in the clean image"),
 )
-# Of every shard.
+# Layers of every shard.
 CORE = tuple(layer.name for layer in _CORE_LAYERS)
 # Written where `dataset.layers` asks for them.
 OPTIONAL_LAYERS = (

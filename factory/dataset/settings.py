@@ -59,7 +59,7 @@ class DatasetSettings:
             raise ValueError(
                 f"name {self.name!r} must be letters, digits, dot, dash and underscore"
             )
-        # Of objects there is one layer more, which comes with the other.
+        # The layer instance comes with segmentation and is not asked for by itself.
         known = {"effects", *(layer.name for layer in OPTIONAL_LAYERS)} - {"instance"}
         if unknown := sorted(set(self.layers) - known):
             raise ValueError(f"layers: {unknown[0]} is none of {', '.join(sorted(known))}")

@@ -178,7 +178,7 @@ def _crop(sample: TrainingImage, extras: Sequence[str], rng: np.random.Generator
     """A batch of one, mirrored or not; drawn again while most of its target is unknown."""
     height, width = sample.noisy.shape
     rows, columns = min(height, _PATCH), min(width, _PATCH)
-    # Of narrow images longer than wide, for as many pixels.
+    # Patches of narrow images are longer, for as many pixels.
     if columns < _PATCH:
         rows = min(height, _PATCH * _PATCH // columns)
     if rows < _PATCH:

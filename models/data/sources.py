@@ -136,7 +136,7 @@ def renders_of(
     refs = open_reader(config.scenes).discover().frames
     training = split_frames(refs if data.pack else choose_frames(refs, config), config)["train"]
     scenes = {sample.scene for sample in held}
-    # Of one scene alone frames are held out one by one.
+    # Where there is one scene alone, frames are held out one by one.
     alone = scenes == {sample.scene for sample in learning}
     names = {(sample.scene, sample.frame if alone else "") for sample in held}
     training = tuple(

@@ -32,7 +32,7 @@ from .wide_cells import by_cells
 Work = Callable[[Float32s, Maps], Float32s]
 
 _SEVERAL = 1.5
-"""From so many frames on average on, grain is the scene's: the image is not halved first."""
+"""Mean number of frames from which on grain belongs to the scene: the image is not halved."""
 _LIT = 0.1
 _LIT_SHARE = 0.01
 """Around a fan, the grey value of lit pixels and their share from which on it is a lit page."""

@@ -186,7 +186,7 @@ class VideoPackets:
         self.size = state["size"]
 
     def _opened(self, size: tuple[int, int]) -> _StreamWriter:
-        # Of the container of the file, which decides on the headers of the stream.
+        # In the container of the file, which decides the headers of the stream.
         self._output = self._av.open(io.BytesIO(), "w", format=self._container, options=_BIT_EXACT)
         writer = _StreamWriter(
             self._av, self._output, self._codec, self._video, size, self._keep_packet

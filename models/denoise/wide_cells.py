@@ -21,7 +21,7 @@ from .polar import FanCells, Maps, polar_grid, sampled
 _LEAST_SIDE = 192
 """Places along a side of a coarser grid: networks have seen few of fewer."""
 _WIDE = 1.3
-"""From this width on, in places, cells are wide; grain of one pixel measures 1.0 to 1.25."""
+"""Width in pixels from which on cells are wide; grain of one pixel measures 1.0 to 1.25."""
 _LAG_OF_PIXELS = 2.0
 """Lag at which second differences are most unlike where cells are one pixel wide."""
 _MOST_LAGS = 12

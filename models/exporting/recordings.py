@@ -94,7 +94,7 @@ def _chosen(words: list[str]) -> _Chosen | None:
                 f"--to {options.to}: is for datasets; recordings become {', '.join(FORMATS)}"
             )
         return None
-    # Of a dataset of one recording a video or a table is of that.
+    # A video or table of a dataset is that of its recording; images are the dataset's export.
     if options.to == "png" and (is_dataset or not (source.exists() or dataset_of(source))):
         return None
     if others:

@@ -40,7 +40,7 @@ RIVALS = {"log_residual": "LogResidual", "sid_tgan": "SIDTGAN"}
 GEOMETRY = ("range_fraction", "azimuth_rad", "sector")
 """Inputs that say where a pixel lies."""
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
-"""Of `ARTEFACTS`, what networks remove: the ground and the brightness of an image stay."""
+"""The ones of `ARTEFACTS` that networks remove: ground and brightness of an image stay."""
 _MOST_FRAMES = 16.0  # more are too few to tell from this many by the noise that is left
 _INDEPENDENT = 0.36
 """Power of the number of frames that says how many of independent noise they are worth: the noise

@@ -16,7 +16,7 @@ import yaml
 from ...factory.common.files import sha256_of
 
 KEY = "learned_from"
-"""Of the header of weights, and of the front matter of a model card."""
+"""Key in the header of weights, and in the front matter of a model card."""
 
 _HEADER = "simnfnd"  # entry of the safetensors header, as `networks.weights` writes it
 

@@ -41,7 +41,7 @@ MOST_BYTES = 1 << 31
 MOST_PIXELS = 1 << 26  # of an image, whatever it is packed into
 TOO_LARGE = f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
 MOST_TINT = 6
-"""Of 255: codecs tint grey images by a few levels, and by others in each frame."""
+"""Grey levels of 255; codecs tint grey images by a few, and differently in each frame."""
 MOST_RANGES = 8192
 MOST_BEAMS = 4096
 MOST_RANGE_M = 2000.0

@@ -14,7 +14,7 @@ from .listed_arrays import LEAST_SIDE_PX, Listed, Row
 
 _COLOURS = (1, 2, 3, 4)
 LEAST_BEAMS = 40
-"""Of a multibeam sonar; the shorter side of its images and pings has as many pixels."""
+"""Fewest beams of a multibeam sonar, and pixels of the shorter side of its images."""
 MATLAB_DTYPES = {"double": "f8", "single": "f4"} | {
     f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4)
 }

@@ -19,7 +19,7 @@ from .base import FULL_SCALE
 Colours = Float32s
 """(N, 3), 0 to 255."""
 
-# Of OpenCV; those that end as they begin are no scale of levels.
+# Colour maps of OpenCV, without those that end as they begin: these are no scale of levels.
 _MAPS = (
     *("JET", "TURBO", "RAINBOW", "PARULA", "VIRIDIS", "PLASMA", "INFERNO", "MAGMA", "CIVIDIS"),
     *("DEEPGREEN", "OCEAN", "HOT", "BONE", "PINK", "AUTUMN", "WINTER", "SUMMER", "SPRING", "COOL"),

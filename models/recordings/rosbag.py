@@ -292,7 +292,7 @@ def frame_of(message: Any, msgtype: str, number: int, bag_time_s: float, name: s
     time_s = stamp.sec + stamp.nanosec * 1e-9 or bag_time_s
     frame_id = message.header.frame_id or "unknown"
     samples = _PIXELS[msgtype](message, name)
-    # As this machine orders bytes, and in one piece.
+    # In the byte order of this machine, and contiguous.
     samples = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
     if msgtype != SONAR:
         return SonarFrame(number, samples, time_s=time_s, device=RecordingDevice(frame_id))
@@ -324,7 +324,7 @@ def with_samples(message: Any, msgtype: str, samples: Array, name: str) -> Any:
     options = [cv2.IMWRITE_JPEG_QUALITY, 100] if jpeg else []
     done, content = cv2.imencode(".jpg" if jpeg else ".png", samples, options)
     assert done
-    # As rclpy or rosbags has bytes.
+    # rclpy holds bytes in an `array`, rosbags in NumPy.
     rclpy = isinstance(message.data, array)
     changed.data = array("B", content.tobytes()) if rclpy else np.asarray(content).ravel()
     return changed

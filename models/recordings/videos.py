@@ -366,7 +366,7 @@ def samples_of(decoded: Any) -> Array:
 def _grey_samples(decoded: Any, bits: int) -> Array:
     if bits <= 8:
         return np.array(decoded.to_ndarray(format="gray"), np.uint8)
-    # As this machine orders bytes.
+    # Converted to the byte order of this machine.
     name = f"gray{bits}le"
     values = np.array(decoded.to_ndarray(format=name), np.uint16)
     return widened(values, bits)

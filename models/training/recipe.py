@@ -33,7 +33,7 @@ def recipe_of(settings: ModelsSettings) -> dict[str, Any]:
     # How many processes read, and where the images lie, decides nothing.
     for key in ("data.workers", "data.pack", "data.folder", "data.geometry", "train.teacher"):
         flat.pop(key, None)
-    # By content, where there is any.
+    # Weights count by their content.
     for key, weights in (("train.teacher", settings.train.teacher), ("start", settings.start)):
         if weights is not None:
             flat[key] = sha256_of(find_weights(weights))[:16]

@@ -66,7 +66,7 @@ def train(settings: ModelsSettings, config: Mapping[str, Any], command: str = ""
     if rows and rows[-1]["step"] == settings.train.steps:
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
     else:
-        # With the precision that was chosen: the file is to make the same weights elsewhere.
+        # The file states the precision that was chosen, to make the same weights elsewhere.
         values = {**config, "train": {**config["train"], "precision": precision}}
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
         write_atomically(out / CONFIG_NAME, f"{COMMAND_MARK}{command}\n{text}".encode())

@@ -115,7 +115,7 @@ def run_app(
                 "the Slurm cluster, or hydra/launcher=submitit_local"
             ) from error
         finally:
-            # Of a sweep; only where one was begun is the module there.
+            # Writes the table of a sweep; the module is loaded only where one was begun.
             if sweep := sys.modules.get("simnfnd.factory.production.cli.sweep"):
                 sweep.write_table()
         return max(codes, default=0)

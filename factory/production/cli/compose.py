@@ -53,7 +53,7 @@ def compose_points(words: Sequence[str]) -> list[FactoryConfig]:
 
     with _one_line_errors(words) as readable:
         overrides = [word for word in readable if not word.startswith("-")]
-        # Those that choose groups: enough to know what an experiment sweeps over.
+        # Words that choose a recipe: enough to know what an experiment sweeps over.
         recipes = [word for word in overrides if word.startswith("experiment=")]
         points = [overrides]
         is_sweep = any(word in _SWEEP for word in words)

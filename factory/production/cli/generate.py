@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from ..scheduler.results import RunReport
 
 PRINTING = RunReporter()
-# Of the cache's folder.
+# File in the folder of the cache.
 _DIGESTS_NAME = "input-digests.json"
 # Nobody wants images of which a smaller share is lit.
 _LEAST_LIT = 0.01

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 _RESULT = "result.json"
-# Of noisy against clean: mean and spread over the pairs.
+# Figures of noisy against clean images: mean and spread over the pairs.
 _FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
 _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
 # Settings that points of one dataset may differ in.
@@ -122,7 +122,7 @@ class SweepTable(Callback):
 
         from .compose import sweep_points
 
-        # As they were given: what names a job's number is known in the job alone.
+        # The words as typed: a job's number is known in the job alone.
         words: Any = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
         sweeper: Any = OmegaConf.to_container(config.hydra.sweeper, resolve=False)
         points = sweep_points(words, dict(sweeper.get("params") or {}))

@@ -15,7 +15,7 @@ from .object_selection import ObjectSelection
 
 # Format -> the libraries that it needs.  `write_FORMAT(pairs, folder)` fills an empty folder and
 # returns one line that says what it wrote; it is in the module FORMAT, or in the one of `_MODULES`.
-# Those of OBJECT_FORMATS take an ObjectSelection, too.
+# Writers of OBJECT_FORMATS also take an ObjectSelection.
 FORMATS = {
     "webdataset": ("webdataset", "cv2"),
     "huggingface": ("pyarrow", "cv2"),
@@ -29,7 +29,7 @@ FORMATS = {
 }
 OBJECT_FORMATS = ("huggingface", "coco", "yolo", "mot", "coco_video")
 IMAGE_FORMATS = ("huggingface", "coco", "yolo")
-"""Those whose objects are of single images."""
+"""Formats whose objects belong to single images, not to tracks."""
 _MODULES = {"mot": "tracks", "coco_video": "tracks"}
 
 

@@ -35,7 +35,7 @@ _PING_FRAME = "sonar_ping"
 _FROM_PING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 """Quaternion (x, y, z, w) that turns axes of the sonar's frame into those of the ping's: half a
 turn about the diagonal of x and z."""
-# Of frames whose recording states no time.
+# Period of frames whose recording states no time.
 _PERIOD_S = 0.1
 _PAUSE_S = 10.0
 """Between two scenes of a file."""

@@ -29,7 +29,7 @@ from ..scenes.seabed import SeabedSettings
 from .renderer_choice import renderer_of
 from .root import FactoryConfig, plain
 
-# Keys added after 0.1, each with the value at which a dataset and its hash stay as they were.
+# Keys added later, each with the value at which a dataset and its hash stay as they were.
 _LATER: dict[str, Any] = {
     "frames.total": None,
     "scenes.own_objects": [],

@@ -38,7 +38,7 @@ _ANY_RANGE_M = (0.2, 30.0)
 _LARGEST_POINTS_PX = 512
 """Beyond, an image of points has fewer echoes than pixels."""
 _DARKEST = 0.8
-"""Of the median echo's grey value: a display that is no darker anywhere shows nothing."""
+"""Share of the median echo's grey value; a display with no darker pixel shows nothing."""
 _ODD = ("spokes", "ghosts", "gains")
 """Artefacts that many recordings do not have; seen always, they teach to take detail for them."""
 
@@ -92,7 +92,7 @@ def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Drawn
         rng = seeds.stream(seed, "device", name, *stream_names)
         value = distribution.draw(rng)
         values[name] = float(rng.random() < value) if name.endswith("_share") else value
-    # Of a stream each, so that a further effect does not turn the coins of the others.
+    # Each coin has a stream of its own, so a further effect leaves the others as they are.
     coins = {
         name: seeds.stream(seed, "device", "coin", name, *stream_names).random() < 0.5
         for name in EFFECTS

@@ -17,7 +17,7 @@ from ..frames.axes import turned
 from ..sonar.ghosts import arrivals_m, lengths
 from .cells import cell_names, occupied_cells
 
-# Of the cells of mirror images, for each direction of their paths.
+# Salts for the names of the cells of mirror images, one for each direction of their paths.
 _DIRECTION_SALTS = np.array([0x3C6EF372, 0xA54FF53A], np.uint32)
 
 

@@ -37,7 +37,7 @@ def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Arr
         return layers
     echoes, pixel, _ = surface.shown
     bins = polar.bin_index(echoes, surface.window, sonar)
-    # Of several echoes in a bin the last one assigned stays: the strongest.
+    # Where several echoes share a bin, the last one assigned stays: the strongest.
     order = np.argsort(echoes.strength, kind="stable")
     strongest = np.full(sonar.range_bins * sonar.beams, -1, np.intp)
     strongest[bins[order]] = order
@@ -97,7 +97,7 @@ def _loudest(
     power = np.bincount(group, strength)
     order = np.argsort(power, kind="stable")
     loudest = np.zeros(bin_count + 1, np.intp)
-    # Of several objects in a bin the last one assigned stays: the one with most power.
+    # Where several objects share a bin, the last one assigned stays: the one with most power.
     loudest[keys[order] >> 24] = first[order]
     # The last is of what lies outside.
     return loudest[:bin_count]

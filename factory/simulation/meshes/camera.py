@@ -23,7 +23,7 @@ from ..frames.frame import BOX_FIELDS
 from .triangle_mesh import Mesh, grid_triangles, join, vertex_normals
 
 FOCAL_PER_WIDTH = 1168.0 / 968.0
-"""Of the FLSea camera, which sees 45 degrees across."""
+"""Focal length of the FLSea camera, which sees 45 degrees across."""
 HFOV_DEG = 45.0
 VFOV_DEG = 29.2
 """What it sees at 968x608 pixels."""

@@ -15,7 +15,7 @@ from ...common.errors import FactoryError
 Document = dict[str, Any]
 
 _MOST_ELEMENTS = 12_000_000
-"""Of one accessor: corners of twice as many faces as a mesh may have."""
+"""Elements of one accessor: corners of twice as many faces as a mesh may have."""
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 

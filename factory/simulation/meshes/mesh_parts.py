@@ -24,7 +24,7 @@ from .triangle_mesh import Mesh
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".blend")
 # Formats that state which axis points up; z does in what is read of them.
 _STATED_UP = {".glb": "y", ".gltf": "y", ".blend": "z"}
-# Those that may name other files.
+# Suffixes of files that may name others.
 _LINKING = (".gltf", ".obj", ".blend")
 _MOST_BYTES = 1 << 29
 _SMALLEST_M = 0.005
@@ -35,7 +35,7 @@ READING = IsolatedProcess(3 << 30)
 Up = Literal["auto", "y", "z"]
 """Which axis of a file points up; auto: as its format states, else as its ground lies."""
 AsStated = Literal["stated"]
-"""As the format of a file states; z where it states nothing."""
+"""The axis that the format of a file states; z where it states none."""
 
 
 class MeshPart(NamedTuple):

@@ -20,7 +20,7 @@ from .arrays import Colour
 from .concave_faces import cut_concave_faces
 from .painted import linear_albedo, paint_surface, read_image, unit_colours
 
-# Of a material that says nothing of its colour.
+# Colour of a material that states none.
 _DEFAULT_COLOUR: Colour = (0.6, 0.6, 0.6)
 # Options of a texture with one argument each; `-mm` has two, and these up to three numbers.
 _ONE_ARGUMENT = frozenset(

@@ -22,7 +22,7 @@ from ..scenes.seabed import OwnObject, RecordingSettings
 from .course import Course, Origin, RecordedPath, Swim
 from .fish import SwimmingWave, fish_mesh, love_target_strength_db
 
-# Of a school: how members differ in length and heading, and how they drift about their places.
+# How the members of a school differ in length and heading, and drift about their places.
 _LENGTH_SPREAD = 0.12
 _HEADING_SPREAD_DEG = 6.0
 _WANDER_SHARE = 0.25

@@ -140,7 +140,7 @@ _HINTS = get_type_hints(NoiseSettings, include_extras=True)
 EFFECTS: dict[str, Effect] = {
     name: hint.__metadata__[0] for name, hint in _HINTS.items() if name != "own"
 }
-"""By the names of their blocks: those of the annotations, then those of other packages in use."""
+"""Effects by the names of their blocks: built-in ones, then those of other packages in use."""
 BUILT_IN = tuple(EFFECTS)
 """Names of the effects that `NoiseSettings` has fields for."""
 

@@ -43,7 +43,7 @@ _POSE = (
     Column("sonar.roll_deg", "f8", "deg", "how far its left side is up"),
     Column("sonar.altitude_m", "f8", "m", "height above the ground right under the camera"),
 )
-# Of the image in rgb and depth; distortion is 0 where it was taken out or is not known.
+# The lens of the image in rgb and depth; distortion is 0 where it was taken out or is not known.
 _LENS = tuple(
     Column(f"camera.{name}", "f8", unit, f"{description}, as OpenCV defines it")
     for name, unit, description in (

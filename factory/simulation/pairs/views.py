@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _SUFFIX = ".view"
 _MOST_BYTES = 1 << 27
-# Of a file that is larger than any view, and of no file at all: reading again cannot help.
+# Errors of files that are too large or no files: reading again cannot help.
 _NO_VIEW = (errno.EFBIG, errno.EINVAL)
 # Evicted at once, so that a full cache is not scanned for every entry.
 _EVICT_TO = 0.9

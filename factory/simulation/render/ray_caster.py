@@ -54,7 +54,7 @@ class RayCaster:
         corners = self._mesh.triangles[cast["primitive_ids"].numpy()[ray]]
         second, third = cast["primitive_uvs"].numpy()[ray].T
         shares = np.stack([1 - second - third, second, third], axis=-1)
-        # Of the mesh as it is, not as it was moved away for shadows.
+        # Places on the mesh as it is, not as it was moved away for shadows.
         place_m = (self._mesh.vertices_m[corners] * shares[..., None]).sum(axis=1)
         nearest = np.take_along_axis(corners, shares.argmax(axis=1)[:, None], axis=1)[:, 0]
         return Hits(ray, place_m.astype(np.float32), self._mesh.pixel[nearest])

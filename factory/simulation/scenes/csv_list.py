@@ -36,7 +36,7 @@ _LONGEST_NAME = 88
 _EXPECTED = "a CSV file of rgb,depth lines"
 
 
-# Those in widths of the image are refused later, with their value in pixels.
+# Lengths in widths of the image are refused later, with their value in pixels.
 _FocalLength = Annotated[float, limited(1e-3, 1e6, "px")]
 _ImagePlace = Annotated[float, limited(-1e6, 1e6, "px")]
 # Renders mark the sky by distances that no sonar sees.

@@ -22,7 +22,7 @@ from ...common.small_files import open_regular, parse_json
 from ...dataset.frame_ref import FrameRef
 
 SCHEMA = "simnfnd-pack 3"
-# Of version 0.4: it named the renderer alone and had no digests.
+# The schema of version 0.4, which named the renderer alone and had no digests.
 _SCHEMA_OF_0_4 = "simnfnd-pack 2"
 INDEX_NAME = "pack.json"
 _DIGEST_BYTES = 16

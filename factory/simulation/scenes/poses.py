@@ -41,7 +41,7 @@ _OPTICAL_IN_BODY: dict[PosesFrame, Float64s] = {
     "flu": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
     "ned": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
 }
-# Of a world whose z points down: half a turn about x, which stays a turn.
+# Turns a world whose z points down over: half a turn about x, which stays a turn.
 _TURNED_OVER = np.diag([1.0, -1, -1, 1])
 
 

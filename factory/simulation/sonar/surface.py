@@ -20,7 +20,7 @@ from .polar import Echoes
 from .settings import SonarSettings
 from .window import Extent, Window
 
-# Beyond this a surface is seen edge on and its area is not known.
+# Cosine below which a surface is seen edge on, so that its area is not known.
 _GRAZING_COSINE = 0.05
 _EDGE_RATIO = 0.1
 LABELLED_BEAM_DB = 20.0

@@ -133,7 +133,7 @@ class Fusion:
             self._measure_noise(grey, neighbours[index])
             noise_sample = _NoiseSample(index, small.median * visible[index])
 
-        # Of the neighbours, then of the frame itself.
+        # Differences of the neighbours, then of the frame itself.
         from_median = [plane - small.median for plane in (*small.neighbours, small.frame)]
         agreement = self._median_agreement.compute(from_median, small.median, noise_sample)
         agrees_with_median = agreement[:-1]

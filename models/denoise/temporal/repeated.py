@@ -65,7 +65,7 @@ class Unrepeated:
             return
         yield from self._pass_waiting()
         self._newest = _Run(shot)
-        # Of a frame that is not wanted a copy may be.
+        # A copy of an unwanted frame may be wanted.
         self._waits = not shot.wanted
         if not self._waits:
             yield from self._pass_on(self._newest)

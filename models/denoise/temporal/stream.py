@@ -132,7 +132,7 @@ class InTime:
         self._fusion = Fusion()
         self.strength = Strength(frames, frame_aware=self._is_frame_aware)
 
-        # By frame number.
+        # All by frame number.
         self._shots: dict[int, SequenceFrame] = {}
         self._geometries: dict[int, FanGeometry | None] = {}
         self._fused_early: dict[int, _FusedFrame] = {}

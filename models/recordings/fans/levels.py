@@ -10,7 +10,7 @@ from ..palettes import find_painted
 from .sector import Sector
 
 MAX_BLACK = 48
-"""Of 255: a border lighter than this is no black one."""
+"""Grey level of 255; a lighter border does not count as black."""
 
 
 def grey_bytes(image: Array) -> UInt8s:

@@ -575,7 +575,7 @@ BUILDERS: dict[str, tuple[Builder, ...]] = {
     "Valve": (hand_wheel, cross_valve, crossed_bars, crossed_bars, ball_valve, things.valve),
     "Chain": (*[loose_chain] * 5, laid_chain, doubled_chain, chain_heap),
 }
-"""Of each class; one that is listed twice is drawn twice as often."""
+"""Class -> its builders; a builder that is listed twice is drawn twice as often."""
 
 
 @functools.cache
