@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from ..factory.common.settings import STRICT
 
-Count = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=1, le=100_000_000)]
 Share = Annotated[float, Field(ge=0, le=1)]
 ScaleFactor = Annotated[float, Field(gt=0, le=16)]
 
@@ -20,7 +20,7 @@ class DataSettings:
     """Keys of `data` that every kind has: what the network gets to see."""
 
     kind: str
-    patch: Annotated[int, Field(ge=8)]
+    patch: Annotated[int, Field(ge=8, le=8192)]
     batch: Count
     crops: Count
     weaker: Share
@@ -28,7 +28,7 @@ class DataSettings:
     validation: Annotated[float, Field(gt=0, lt=1)]
     validation_limit: Count | None
     reuse: Annotated[int, Field(ge=1, le=1000)]
-    workers: Literal["auto"] | Annotated[int, Field(ge=0)]
+    workers: Literal["auto"] | Annotated[int, Field(ge=0, le=1024)]
 
     @property
     def least_side(self) -> int:
@@ -115,10 +115,10 @@ class TrainSettings:
 
     steps: Count
     check_every: Count
-    learning_rate: Annotated[float, Field(gt=0)]
-    weight_decay: Annotated[float, Field(ge=0)]
-    warmup: Annotated[int, Field(ge=0)]
-    clip: Annotated[float, Field(gt=0)]
+    learning_rate: Annotated[float, Field(gt=0, le=10)]
+    weight_decay: Annotated[float, Field(ge=0, le=10)]
+    warmup: Annotated[int, Field(ge=0, le=100_000_000)]
+    clip: Annotated[float, Field(gt=0, le=1e6)]
     ema: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "32-true", "bf16-mixed"]
     teacher: str | None = None

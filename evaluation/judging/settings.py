@@ -11,10 +11,16 @@ from pydantic import Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
 from ...factory.common.files import real_path
+from ...factory.common.limits import limited
 from ...factory.common.settings import STRICT
 
-Count = Annotated[int, Field(ge=1)]
-Pair = tuple[float, float]
+Count = Annotated[int, Field(ge=1, le=10_000_000)]
+# Each draw takes a number for every image in memory.
+Draws = Annotated[int, Field(ge=100, le=100_000)]
+Shown = Annotated[int, Field(ge=0, le=10_000)]
+Seconds = Annotated[float, limited(0.001, 86_400, "s")]
+Pixels = Annotated[float, limited(0.01, 4096, "px")]
+Pair = tuple[Pixels, Pixels]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -48,11 +54,11 @@ class ReportSettings:
 
     out: str | None
     workers: Literal["auto"] | Count
-    bootstrap: Annotated[int, Field(ge=100)]
+    bootstrap: Draws
     seed: Annotated[int, Field(ge=0)]
-    image_timeout_s: Annotated[float, Field(gt=0)]
+    image_timeout_s: Seconds
     baselines: list[str]
-    examples: Annotated[int, Field(ge=0)]
+    examples: Shown
     device: Literal["auto", "cpu", "gpu"]
     debug: bool
 
@@ -93,8 +99,8 @@ class RealSettings(ReportSettings):
     real: Annotated[str, Field(min_length=1)]
     models: list[str]
     groups: bool
-    limit: Annotated[int, Field(ge=4)] | None
-    in_time: Annotated[int, Field(ge=0)]
+    limit: Annotated[int, Field(ge=4, le=10_000_000)] | None
+    in_time: Shown
 
     @property
     def name(self) -> str:
@@ -113,24 +119,15 @@ class DetectSettings(ReportSettings):
 
     recordings: Annotated[list[str], Field(min_length=1)]
     models: list[str]
-    frames: list[Annotated[int, Field(ge=1)]]
+    frames: list[Annotated[int, Field(ge=1, le=10_000)]]
     fixed: list[dict[str, dict[str, int | float]]]
     sizes: Annotated[list[Pair], Field(min_length=1)]
-    contrasts: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=1)]
+    contrasts: Annotated[list[Annotated[float, Field(gt=0, le=1000)]], Field(min_length=1)]
     speed_px: Pair
     tracks: Count
     repeats: Count
-    track_frames: Annotated[int, Field(ge=2)]
-    limit: Annotated[int, Field(ge=20)]
-
-    @field_validator("sizes", "speed_px")
-    @classmethod
-    def _positive(cls, value: Any) -> Any:
-        pairs = value if isinstance(value, list) else [value]
-        for first, second in pairs:
-            if min(first, second) <= 0:
-                raise ValueError("numbers must be greater than 0, in pixels")
-        return value
+    track_frames: Annotated[int, Field(ge=2, le=100_000)]
+    limit: Annotated[int, Field(ge=20, le=10_000_000)]
 
     @property
     def folder(self) -> Path:
@@ -171,13 +168,13 @@ class TransferSettings:
     folds: Annotated[int, Field(ge=2, le=20)]
     steps: Count
     real_steps: Count
-    batch: Annotated[int, Field(ge=2)]
-    learning_rate: Annotated[float, Field(gt=0)]
-    limit: Annotated[int, Field(ge=4)] | None
+    batch: Annotated[int, Field(ge=2, le=10_000)]
+    learning_rate: Annotated[float, Field(gt=0, le=10)]
+    limit: Annotated[int, Field(ge=4, le=10_000_000)] | None
     quick: bool
-    examples: Annotated[int, Field(ge=0)]
+    examples: Shown
     seed: Annotated[int, Field(ge=0)]
-    bootstrap: Annotated[int, Field(ge=20)]
+    bootstrap: Annotated[int, Field(ge=20, le=100_000)]
     out: str | None
     debug: bool
 
@@ -223,7 +220,7 @@ class RealismSettings:
 
     real: Annotated[str, Field(min_length=1)]
     sim: Annotated[tuple[str, ...], Field(min_length=1)]
-    limit: Annotated[int, Field(ge=4)] | None = None
+    limit: Annotated[int, Field(ge=4, le=10_000_000)] | None = None
     grid: Grid = field(default_factory=Grid)
     seed: Annotated[int, Field(ge=0)] = 0
     out: str | None = None
@@ -286,10 +283,10 @@ class FitSettings:
     parameters: dict[str, SearchedKey]
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")] = "fitted"
     recipe: tuple[str, ...] = ("experiment=physical",)
-    frames: Annotated[int, Field(ge=8)] = 24
+    frames: Annotated[int, Field(ge=8, le=100_000)] = 24
     grid: Grid = field(default_factory=Grid)
-    trials: Annotated[int, Field(ge=1)] = 200
-    startup: Annotated[int, Field(ge=1)] = 40
+    trials: Count = 200
+    startup: Count = 40
     seed: Annotated[int, Field(ge=0)] = 0
     out: str | None = None
     debug: bool = False

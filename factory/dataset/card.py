@@ -226,7 +226,8 @@ def hub_fields(
 def _licence_fields(licence: str | None) -> dict[str, Any]:
     if licence is None:
         return {}
-    stated = licence.strip().lower()
-    if stated in _HUB_LICENCES:
-        return {"license": stated}
-    return {"license": "other", "license_name": re.sub(r"[^a-z0-9.-]+", "-", stated).strip("-")}
+    # `CC BY 4.0` is the hub's cc-by-4.0.
+    name = re.sub(r"[^a-z0-9.]+", "-", licence.lower()).strip("-.")
+    if name in _HUB_LICENCES:
+        return {"license": name}
+    return {"license": "other", "license_name": name or "other"}

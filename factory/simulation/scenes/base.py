@@ -16,6 +16,8 @@ from ...common.settings import STRICT, ClassName
 from ...dataset.frame_ref import FrameRef
 from ..frames.frame import Frame
 
+LONGEST_NAME = 88
+"""Bytes of names that come from files: the sample table holds 96, and a number may follow."""
 INTEGERS_PER_M = 1000.0
 """What integer depth is divided by where `depth_scale` is null: millimetres."""
 

@@ -28,11 +28,9 @@ from ...common.settings import STRICT
 from ...common.text_tables import numbered_lines
 from ...dataset.frame_ref import FrameRef
 from ..frames.frame import Frame, Intrinsics
-from .base import BadDepth, Discovery, Root, SceneSettings, discovery
+from .base import LONGEST_NAME, BadDepth, Discovery, Root, SceneSettings, discovery
 from .frame_files import image_size, in_metres, read_frame, read_rgb, refuse_mark, stored_depth
 
-# Bytes; columns of the sample table hold 96, and a number may follow.
-_LONGEST_NAME = 88
 _EXPECTED = "a CSV file of rgb,depth lines"
 
 
@@ -173,7 +171,7 @@ def _rows(path: Path) -> list[tuple[str, str, str]]:
             )
         if "/" in scene or "\\" in scene:
             raise FactoryError(f"{path}:{number}: a scene name must not hold a slash: {scene!r}")
-        rows.append((rgb, depth, shortened(scene or path.stem, _LONGEST_NAME)))
+        rows.append((rgb, depth, shortened(scene or path.stem, LONGEST_NAME)))
     return rows
 
 
@@ -198,7 +196,7 @@ def _named(folder: Path, rows: list[tuple[str, str, str]]) -> list[FrameRef]:
             name = _dashed(rgb)
         if paths[scene, name] > 1 and stems[scene, Path(rgb).stem] > 1:
             name = f"{_dashed(rgb, keep_suffix=True)}-{_dashed(depth)}"
-        name = shortened(name, _LONGEST_NAME)
+        name = shortened(name, LONGEST_NAME)
         unique = name
         number = 2
         while (scene, unique) in frames:

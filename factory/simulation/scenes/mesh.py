@@ -27,6 +27,7 @@ from ...common.array_types import Float64s, UInt8s
 from ...common.distribution import Altitude
 from ...common.distribution import Angle as DrawnAngle
 from ...common.errors import FactoryError, FrameError
+from ...common.files import shortened
 from ...common.limits import limited
 from ...common.seeds import stream
 from ...common.settings import STRICT
@@ -36,7 +37,7 @@ from ..frames.frame import Frame, Intrinsics, Surroundings, checked
 from ..meshes.blend_files import camera_image
 from ..meshes.camera import Objects, Optics, Pose, Stance, ZBuffer, camera, centred, pose
 from ..meshes.mesh_parts import READING, MeshPart, Up, files_of, read_model, stands_like_a_wall
-from .base import Discovery, OwnClass, Root
+from .base import LONGEST_NAME, Discovery, OwnClass, Root
 from .moving import MovingObject, check_moving, check_paths
 from .poses import PosesFrame, axes_remark, optical_trajectory, trajectory
 from .seabed import OwnObject, RecordingSettings
@@ -200,11 +201,12 @@ class MeshReader:
             paths += own_mesh.files
             notes += own_mesh.notes
         # What is wrong with a path shows before a worker starts.
-        last_ref = FrameRef(self._path.stem, scenes[0], f"{views - 1:04d}")
+        location = shortened(self._path.stem, LONGEST_NAME)
+        last_ref = FrameRef(location, scenes[0], f"{views - 1:04d}")
         duration_s = settings.time_s(last_ref) - settings.start_s
         paths += check_paths(settings.moving, duration_s)
         places = itertools.product(scenes, range(views))
-        refs = (FrameRef(self._path.stem, scene, f"{view:04d}", paths) for scene, view in places)
+        refs = (FrameRef(location, scene, f"{view:04d}", paths) for scene, view in places)
         return Discovery(tuple(refs), notes=notes)
 
     def load(self, ref: FrameRef) -> Frame:

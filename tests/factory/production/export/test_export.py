@@ -16,6 +16,7 @@ import pytest
 import yaml
 
 from simnfnd.factory.common.errors import FactoryError
+from simnfnd.factory.dataset.card import hub_fields
 from simnfnd.factory.dataset.labels import CLASSES
 from simnfnd.factory.production.export import FORMATS, export
 from simnfnd.factory.production.export.objects import MIN_OBJECT_PX
@@ -362,6 +363,21 @@ def test_objects_are_lists_as_of_the_hub(labelled: Path, tmp_path: Path) -> None
     assert category.names == ["Tire", "Barrel"]
     # Versions of the library before 4.0 know no other name for a list.
     assert b'"List"' not in table.schema.metadata[b"huggingface"]
+
+
+@pytest.mark.parametrize(
+    ("licence", "fields"),
+    [
+        ("CC BY 4.0", {"license": "cc-by-4.0"}),
+        ("Apache-2.0", {"license": "apache-2.0"}),
+        ("Our terms (2026)", {"license": "other", "license_name": "our-terms-2026"}),
+        (None, {}),
+    ],
+)
+def test_the_hub_knows_the_licence(licence: str | None, fields: dict[str, str]) -> None:
+    card = hub_fields("reef", licence, 3)
+    assert {key: card[key] for key in card if key.startswith("license")} == fields
+    assert "reef" in card["pretty_name"]
 
 
 def test_small_boxes_are_left_out(labelled: Path, tmp_path: Path) -> None:

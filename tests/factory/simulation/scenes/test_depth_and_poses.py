@@ -81,14 +81,18 @@ POSES = {
 }
 
 
+# Longer than the sample table's name of a location.
+WORLD = "floor" * 30
+
+
 def world(folder: Path, line: str) -> list[str]:
     corners = [(-9, -9), (9, -9), (9, 9), (-9, 9)]
-    (folder / "floor.obj").write_text(
+    (folder / f"{WORLD}.obj").write_text(
         "\n".join(f"v {x} {y} 0" for x, y in corners) + "\nf 1 2 3 4\n"
         "v -1 4 0\nv 1 4 0\nv 1 4 2\nv -1 4 2\nf 5 6 7 8\n"
     )
     (folder / "poses.txt").write_text(f"{line}\n")
-    return ["scenes=mesh", f"scenes.file={folder}/floor.obj", "scenes.width=96", "scenes.up=z",
+    return ["scenes=mesh", f"scenes.file={folder}/{WORLD}.obj", "scenes.width=96", "scenes.up=z",
             f"scenes.poses={folder}/poses.txt", "scenes.height=64"]  # fmt: skip
 
 
@@ -101,6 +105,7 @@ def test_poses_in_the_axes_of_a_body_see_the_same(tmp_path: Path, axes: str) -> 
     assert frame.depth_m == pytest.approx(expected.depth_m, abs=1e-4)
     assert frame.world_from_camera == pytest.approx(expected.world_from_camera, abs=1e-5)
     assert (frame.depth_m > 0).mean() > 0.3
+    assert len(frame.ref.location) <= 96
 
 
 def test_a_frame_that_sees_nothing_names_the_axes(tmp_path: Path) -> None:
