@@ -280,7 +280,10 @@ def fitting_geometry(geometry: FanGeometry, rows: int, columns: int) -> FanGeome
 
 @lru_cache(maxsize=2)
 def _denoiser(path: Path, changed_ns: int, device: str) -> Denoiser:
-    """changed_ns: of the file, so that weights trained anew are loaded anew."""
+    """The denoiser of a weights file.
+
+    changed_ns: time of the file, so that weights trained anew are loaded anew.
+    """
     from .models.denoise.denoiser import Denoiser
 
     return Denoiser(path, device)

@@ -148,7 +148,10 @@ def make_pair(
 
 @lru_cache(maxsize=8)
 def _config(words: tuple[str, ...], effects: tuple[Effect, ...]) -> FactoryConfig:
-    """effects: those that are registered now, of which another one may have the same name."""
+    """The configuration of keyword arguments.
+
+    effects: those registered now; another one may have had the same name.
+    """
     from .factory.production.cli.compose import compose_config
 
     # The frame is at hand, so where recordings are does not matter.

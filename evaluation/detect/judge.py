@@ -71,7 +71,7 @@ class SightingExample:
 
 @dataclass(frozen=True, eq=False)
 class DetectionOutcome:
-    """What was measured.
+    """The figures of all rows on all recordings.
 
     figures: label of a row -> its figures.  lost: label -> why a row has none.
     ratios: label -> figures of its ratio images, means over the sequences.

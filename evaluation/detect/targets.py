@@ -77,7 +77,7 @@ class Track:
 
 @dataclass(frozen=True)
 class TrackPlan:
-    """How tracks are drawn.
+    """What the tracks of targets are drawn from.
 
     classes: of the targets; they take turns.  at_once: most tracks in a frame.
     frames: length of a track; then new tracks begin elsewhere.

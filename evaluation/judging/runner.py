@@ -74,7 +74,7 @@ class MethodResult:
 
 @dataclass(eq=False)
 class Measured:
-    """What was measured.
+    """The figures that methods reached on images.
 
     figures: label -> number of the image -> its figures; an image that a method has none of is
     absent.  lost: label -> why there are none at all.  images: (label, number) -> what was kept.

@@ -18,7 +18,9 @@ Values = Mapping[str, Any]
 
 
 class Exports(NamedTuple):
-    """command: the line for the shell.  recipe: the YAML of an experiment.
+    """What makes the images of the lab elsewhere.
+
+    command: the line for the shell.  recipe: the YAML of an experiment.
 
     sweep: the line that makes a dataset of each value of the marked parameter; "" without one.
     """
@@ -83,7 +85,7 @@ class Base(NamedTuple):
 
     @classmethod
     def of(cls, overrides: Sequence[str], values: Values) -> Base:
-        """overrides: words as Hydra reads them; see `compose`."""
+        """Read the words of the lab.  overrides: words as Hydra reads them; see `compose`."""
         from hydra.core.override_parser.overrides_parser import OverridesParser
 
         groups = {}

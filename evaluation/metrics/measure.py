@@ -30,7 +30,10 @@ _NO_POWER = 1e-20  # of a ratio image: less is rounding
 
 @dataclass(frozen=True)
 class PairImages:
-    """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool."""
+    """The images of a pair.
+
+    noisy, clean: (H, W) float32 in 0..1.  shadow, sector: (H, W) bool.
+    """
 
     noisy: Grey
     clean: Grey

@@ -93,7 +93,7 @@ class ReportRow(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class RealOutcome:
-    """What was measured.
+    """The figures of all rows on all images.
 
     files: names of the judged images.  examples: number -> image, of those that the report shows;
     what the methods made of them is in `measured`.  best: figure -> label of the best filter in it.

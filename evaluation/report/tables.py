@@ -24,7 +24,11 @@ TABLE_METRICS = ("psnr", "ssim", "gmsd")
 
 @dataclass(frozen=True)
 class Metric:
-    """label: with the unit.  digits: after the point.  better: 1 high, -1 low, 0 neither."""
+    """How tables show a metric.
+
+    label: name with the unit.  digits: digits after the point.
+    better: 1 where high values are better, -1 where low ones are, 0 where neither is.
+    """
 
     label: str
     digits: int

@@ -36,7 +36,7 @@ class RealImage:
 
 @dataclass(frozen=True, eq=False)
 class RealImages:
-    """What a folder holds.
+    """The labelled images of a folder.
 
     classes: names of the classes that are judged; labels of objects are positions in it.
     groups: whether the file states groups; else every image is its own.

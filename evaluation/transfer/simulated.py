@@ -123,7 +123,11 @@ def _read_images(
 
 @dataclass(frozen=True)
 class _SimulatedObject:
-    """number: in /instance.  label: of its class.  box: around its echoes, or with its shadow."""
+    """An object in a simulated image.
+
+    number: its number in /instance.  label: number of its class.
+    box: around its echoes, or its echoes and shadow.
+    """
 
     number: int
     label: int

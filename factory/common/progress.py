@@ -36,7 +36,7 @@ def terminal_bars() -> type[tqdm[Any]]:
 
 
 def stage(text: str) -> None:
-    """Say what begins now."""
+    """Report what begins now."""
     terminal_bars().write(text, file=sys.stderr)
     sys.stderr.flush()
 
@@ -57,12 +57,12 @@ class RunProgress(NamedTuple):
 
 
 def print_fact(text: str) -> None:
-    """A line on stdout."""
+    """Print a line on stdout."""
     print(text, flush=True)
 
 
 def print_warning(text: str) -> None:
-    """A line on stderr."""
+    """Print a line on stderr."""
     print(f"warning: {text}", file=sys.stderr, flush=True)
 
 
@@ -118,7 +118,7 @@ class _AsLines:
             print(line, file=sys.stderr, flush=True)
 
     def flush(self) -> None:
-        """Nothing is kept."""
+        """Do nothing: no line is held back."""
 
 
 def progress_bar(*, total: int, initial: int = 0, unit: str, desc: str) -> tqdm[Any]:

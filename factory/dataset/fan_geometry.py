@@ -48,11 +48,11 @@ class SonarDevice(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the device."""
+        """Name of the device."""
 
     @property
     def frequency_khz(self) -> float:
-        """Of the device."""
+        """Frequency of the device, kHz."""
 
     @property
     def hfov_deg(self) -> float:

@@ -74,7 +74,9 @@ class ImageSource:
 
 @dataclass(frozen=True)
 class Data:
-    """learning, validation: images.  facts: what decides the weights beside the settings.
+    """What a training learns from.
+
+    learning, validation: images.  facts: what decides the weights beside the settings.
 
     recordings: files of real sonars that are learned from.
     """

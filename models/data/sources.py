@@ -174,7 +174,10 @@ class Renders(NamedTuple):
 
 
 def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], seed: int) -> Data:
-    """others: frames with a render that nothing is learned from."""
+    """The mixed source of renders and recordings.
+
+    others: frames with a render that nothing is learned from.
+    """
     drawn = compose_config((f"experiment={data.experiment}",))
     if not others or drawn.devices is None:
         raise FactoryError(

@@ -169,7 +169,7 @@ class RemovedReport:
         self._worst: tuple[str, Structure] | None = None
 
     def add(self, place: str, removed: Removed) -> None:
-        """place: names the image: its file, and of a recording the frame."""
+        """Add an image.  place: its name: its file, and in a recording the frame."""
         structure = removed.structure
         if structure is None:
             return

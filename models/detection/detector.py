@@ -58,7 +58,7 @@ class FoundObject(NamedTuple):
 
 
 def no_detections() -> Detections:
-    """Nothing was found."""
+    """Detections of an image in which nothing was found."""
     return Detections(no_boxes(), np.zeros(0, np.float32), np.zeros(0, np.int64))
 
 

@@ -106,7 +106,7 @@ def write_card(
     run: Path,
     reports: Sequence[Path],
 ) -> str:
-    """The card as Markdown.
+    """Compose the card as Markdown.
 
     model, training: of the weights file.  run: the folder of the training, whose metrics and cost
     go in where they are there.  reports: real.json or report.json of evaluations.

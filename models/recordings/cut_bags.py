@@ -79,7 +79,7 @@ class CutBag:
                 yield StoredMessage(wanted[message.connection], message.time_ns, message.content)
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
     def _messages(self, connections: dict[int, Connection]) -> Iterator[Message]:
         """All whole messages; `connections` gets the connections on the way."""

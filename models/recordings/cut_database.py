@@ -68,7 +68,7 @@ class CutDatabase:
                 yield StoredMessage(wanted[topic], time_ns, content)
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
     def _rows(self) -> Iterator[tuple[int, int, bytes]]:
         """Topic, nanoseconds since 1970 and content of each whole message."""

@@ -269,7 +269,7 @@ _MOST_BYTES = 1 << 26  # of one message
 
 
 class _Message(NamedTuple):
-    """Where a message lies."""
+    """The place of a message in a file."""
 
     offset: int
     size: int

@@ -262,7 +262,10 @@ class VideoFile(Recording):
         return SonarFrame(number, samples, time_s=timing.time_s, duration_s=timing.duration_s)
 
     def _timing(self, number: int, decoded: Any, before: _Timing | None) -> _Timing:
-        """before: of the frame before, by which this one is dated if the file does not do it."""
+        """The time of a frame.
+
+        before: that of the previous frame, which dates this one if the file does not.
+        """
         time_s: float | None = None
         if decoded.pts is not None:
             time_s = float(decoded.pts * self.properties.time_base_s) - self.properties.start_s

@@ -16,7 +16,9 @@ COST_NAME = "cost.json"
 
 @dataclass(frozen=True)
 class Cost:
-    """cpu_s: of the training and its reading processes.  elapsed_s: on the wall clock.
+    """Time that a training took.
+
+    cpu_s: CPU time of the training and its reading processes.  elapsed_s: time on the wall clock.
 
     sittings: how often it was started.  What a killed sitting did after its last checkpoint is done
     again, and does not count twice.

@@ -56,7 +56,9 @@ class RealTransform(NamedTuple):
 
 @dataclass(frozen=True)
 class Coefficients:
-    """bands: a level each, the finest first: (6, H / 2^j, W / 2^j) complex.
+    """The coefficients of an image.
+
+    bands: a level each, the finest first: (6, H / 2^j, W / 2^j) complex.
 
     rests: the four coarse rests, (4, H / 2^J, W / 2^J), in the order of `_TREES`.
     """

@@ -29,7 +29,7 @@ class WorkerDied(Exception):
 
 
 class Pool(NamedTuple):
-    """Workers of one sort.
+    """A number of workers that take the same kinds of tasks.
 
     kinds: of tasks that they run; for the first kind they are taken before others.
     workers: how many processes; may be 0.

@@ -66,7 +66,7 @@ def compose_points(words: Sequence[str]) -> list[FactoryConfig]:
 
 
 class Composition(NamedTuple):
-    """What words mean.
+    """The configuration that words mean, and what it was built from.
 
     values: plain ones, as the YAML files and words give them.  config: the same, validated.
     overrides: the words as Hydra reads them.

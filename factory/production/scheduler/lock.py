@@ -110,7 +110,7 @@ class Publication:
                 make_room(spare=self.folder / name)
 
     def text(self) -> bytes:
-        """What the lock says."""
+        """The content of the lock."""
         return json.dumps({"token": self.token, **_me(), "beat": time.time()}).encode()
 
     def holds(self) -> bool:

@@ -29,7 +29,7 @@ from .worker import ShardResult
 
 @dataclass(frozen=True)
 class RunReport:
-    """What a run did.
+    """What a run made, and what failed.
 
     samples: what the dataset now holds.  reused_shards: shards that an earlier run had finished.
     failures: every frame without a sample.  frames: that were asked for.

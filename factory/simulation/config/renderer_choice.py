@@ -22,7 +22,10 @@ RENDERER_NAMES = {
 
 
 class RendererChoice(NamedTuple):
-    """settings: those of `render`, with a renderer for kind.  reason: why it is that one."""
+    """The renderer of a run.
+
+    settings: those of `render`, with a renderer as kind.  reason: why it is that one.
+    """
 
     settings: RenderSettings
     reason: str

@@ -49,7 +49,10 @@ class MovingScatterers:
 
 @dataclass(frozen=True, eq=False)
 class MovingPoints:
-    """names: (K,) uint32.  powers: (K,) float32.  camera_m: (K, 3) places in camera axes."""
+    """Cells of a moving object as one point each.
+
+    names: (K,) uint32.  powers: (K,) float32.  camera_m: (K, 3) places in camera axes, metres.
+    """
 
     names: UInt32s
     powers: Float32s

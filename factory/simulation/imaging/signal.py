@@ -85,7 +85,7 @@ class Ping:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(range_bins, beams)."""
+        """Number of range bins and of beams."""
         return self.sonar.range_bins, self.sonar.beams
 
     @property
@@ -154,7 +154,7 @@ class Ping:
 
     @cached_property
     def strongest(self) -> float:
-        """The largest of them."""
+        """The largest amplitude."""
         return float((self.expected * polar.seen_beams(self.window, self.sonar)).max())
 
     @cached_property

@@ -46,7 +46,10 @@ class Texture:
 
 @dataclass
 class Material:
-    """colour: linear albedo.  texture: instead of it.  others: textures that are not used."""
+    """A material of a library.
+
+    colour: linear albedo.  texture: image in its place.  others: textures that are not used.
+    """
 
     colour: Colour = _DEFAULT_COLOUR
     texture: Texture | None = None

@@ -82,7 +82,7 @@ def expect_drifting_volume(
     correlation_s: float,
     drift_m_s: float,
 ) -> None:
-    """The haze's intensity."""
+    """Add the expected intensity of the haze."""
     expect_volume(state, ping, rng, strength_db=strength_db)
 
 

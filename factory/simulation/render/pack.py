@@ -39,7 +39,7 @@ _TIME = (1980, 1, 1, 0, 0, 0)
 
 
 class Contents(NamedTuple):
-    """What a pack holds.
+    """The content of a pack.
 
     members: in the order of the frames.  render: what made the renders; of a pack of version 0.4
     its kind alone is known, and the others are the defaults.  digest: of all frames and views.

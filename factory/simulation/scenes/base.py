@@ -87,7 +87,7 @@ BadDepth = Literal["reject", "mask"]
 
 @plain_dataclass(frozen=True)
 class Discovery:
-    """What a reader found.
+    """The frames that a reader found, and what it left out.
 
     frames: every usable frame, sorted by (location, scene, frame).
     skipped: reason -> how many images were left out for it (for example no depth map).

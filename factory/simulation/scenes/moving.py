@@ -193,7 +193,7 @@ class Waypoints(NamedTuple):
 
 @lru_cache(maxsize=16)
 def waypoints(path: Path, key: str) -> Waypoints:
-    """The lines of a path.
+    """Read the waypoints of a path file.
 
     key: of the configuration, for errors.  Raises FactoryError that names file and line.
     """

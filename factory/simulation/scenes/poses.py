@@ -127,7 +127,11 @@ def _rotations(quaternions: Float64s) -> Float64s:
 
 
 class _Header(NamedTuple):
-    """line: its number.  names: of all columns, as stated.  columns: place -> those of a pose."""
+    """The header of a file of poses.
+
+    line: its number.  names: names of all columns, as stated.  columns: place of each number of a
+    pose.
+    """
 
     line: int
     names: list[str]

@@ -79,8 +79,9 @@ class PointSpread:
 
 @dataclass(frozen=True, config=STRICT)
 class ImageSettings:
-    """layout: fan (Cartesian, far range on top) or polar (range_bins x beams, near range first).
+    """Keys of `sonar.image`.
 
+    layout: fan (Cartesian, far range on top) or polar (range_bins x beams, near range first).
     width_px, height_px: of the fan image; a polar image has one pixel a bin.
     sampling: bilinear, or nearest: pixels show the nearest sample as it is, as makers' programs do.
     enlarged: the fan is made so much larger and then shrunk, as images of a screen are.

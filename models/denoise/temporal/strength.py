@@ -247,7 +247,7 @@ def _target(predictors: Predictors, outside: Array, same: Bools) -> Float64s:
 
 
 def _changes(planes: list[Array], same: Bools) -> Float64s:
-    """(predictors, pixels)."""
+    """(predictors, pixels): the values of each plane where both frames show the same."""
     return np.stack([plane[same].astype(np.float64) for plane in planes])
 
 

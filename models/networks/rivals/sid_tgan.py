@@ -184,7 +184,10 @@ class Discriminator(nn.Module):
         self.judge = spectral_norm(nn.Conv2d(widths[-1], 1, 3, padding=1))
 
     def forward(self, noisy: Tensor, image: Tensor) -> Seen:
-        """noisy, image: (N, 1, H, W), 16 pixels or more each way."""
+        """Judge images beside their noisy ones.
+
+        noisy, image: (N, 1, H, W), 16 pixels or more each way.
+        """
         x = torch.cat([noisy, image], dim=1)
         local = []
         for layer in self.local:

@@ -88,7 +88,10 @@ class OutlineLikelihood:
         return [outline.to_sector(self._anchors) for outline in outlines]
 
     def _costs(self, sectors: Sequence[Sector | None], counts: PixelCounts) -> Float64s:
-        """counts: of the sectors that are not None, in their order."""
+        """Costs of the sectors.
+
+        counts: of the sectors that are not None, in their order.
+        """
         costs = np.full(len(sectors), INVALID_COST)
         is_valid = [sector is not None for sector in sectors]
         sampled_costs = self._black_cost * counts.black - self._lit_gain * counts.lit

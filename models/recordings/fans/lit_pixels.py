@@ -77,7 +77,10 @@ class LitPixels:
         return np.arange(step // 2, self.width, step)
 
     def _count_between(self, borders: Float64s, columns: npt.NDArray[np.intp]) -> PixelCounts:
-        """borders: (2, N, W) upper and lower border of N sectors in W columns, rows."""
+        """Count lit pixels between borders.
+
+        borders: (2, N, W) upper and lower border of N sectors in W columns, rows.
+        """
         borders = np.minimum(np.maximum(borders, 0.0), self._height)
         # A column beside the sector counts nothing.
         np.minimum(borders[0], borders[1], out=borders[0])
