@@ -135,7 +135,10 @@ def _settings_block(config: Mapping[str, Any]) -> str:
 def _scene_table(pairs: PairDataset) -> str:
     counts = Counter((sample.split, sample.location, sample.scene) for sample in pairs.names())
     lines = ["| split | location | scene | pairs |", "|---|---|---|---|"]
-    lines += [f"| {' | '.join(key)} | {count} |" for key, count in counts.items()]
+    for key, count in counts.items():
+        # Scenes may be called anything.
+        cells = [name.replace("|", "\\|") for name in key]
+        lines.append(f"| {' | '.join(cells)} | {count} |")
     return "\n".join(lines)
 
 

@@ -97,6 +97,7 @@ class _SplitAnnotations:
             "info": describe_file(f"SimNFND, {split}; masks as run lengths"),
             "images": self._images,
             "annotations": self._annotations,
+            "licenses": [],
             "categories": list_categories(self._classes),
         }
 

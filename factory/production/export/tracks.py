@@ -263,6 +263,7 @@ class _Document:
             "videos": [],
             "images": [],
             "annotations": [],
+            "licenses": [],
             "categories": list_categories(exported.classes),
         }
 

@@ -15,6 +15,7 @@ from ...common.distribution import Angle as DrawnAngle
 from ...common.limits import limited
 from ...common.settings import STRICT
 from ...dataset.fan_geometry import beam_centres_rad
+from ...dataset.schema import MAX_PIXELS
 from ..render.base import Mount
 from .array import ArraySettings
 
@@ -27,6 +28,7 @@ HorizontalSector = Annotated[float, limited(5, 180, "deg")]
 VerticalSector = Annotated[float, limited(1, 180, "deg")]
 Blur = Annotated[float, limited(0, 50)]
 MOST_SAMPLES = 8192  # of one beam
+MOST_FIELD_SAMPLES = 1 << 25  # twice those of the largest imaging sonars
 Count = Annotated[int, Field(ge=2, le=MOST_SAMPLES)]
 
 
@@ -194,6 +196,7 @@ class SonarSettings:
                 f"range_bins {self.range_bins} of samples_per_bin {self.samples_per_bin} are more "
                 f"than {MOST_SAMPLES} raw samples; take fewer of one"
             )
+        self._check_size()
         table = self.beam_azimuths_deg
         if table is None:
             return self
@@ -204,6 +207,20 @@ class SonarSettings:
         if max(abs(table[0]), abs(table[-1])) > self.hfov_deg / 2:
             raise ValueError("beam_azimuths_deg must lie within hfov_deg")
         return self
+
+    def _check_size(self) -> None:
+        """Raise ValueError for images that no shard holds, and fields that fill the memory."""
+        rows, columns = self.shape()
+        if rows * columns > MAX_PIXELS:
+            raise ValueError(
+                f"an image of {rows} x {columns} pixels is larger than {MAX_PIXELS:,}; take a "
+                "smaller image.width_px and image.height_px (polar: range_bins and beams)"
+            )
+        if self.beams * self.range_bins * self.samples_per_bin > MOST_FIELD_SAMPLES:
+            raise ValueError(
+                f"{self.beams} beams of {self.range_bins * self.samples_per_bin} raw samples are "
+                f"more than {MOST_FIELD_SAMPLES:,} in an image; take fewer beams or range_bins"
+            )
 
     def beam_centres_rad(self) -> Float64s:
         """(beams,) azimuth of each beam, radians, positive to the right."""

@@ -156,7 +156,9 @@ def test_pycocotools_judges_the_boxes_of_coco_video(swims, tmp_path):
 
     export(swims, "coco_video", tmp_path / "out", "train")
     path = tmp_path / "out/annotations/instances_train.json"
-    assert {"info", "images", "annotations", "categories"} <= set(json.loads(path.read_text()))
+    assert {"info", "images", "annotations", "licenses", "categories"} <= set(
+        json.loads(path.read_text())
+    )
     truth = COCO(str(path))
     results = [{**annotation, "score": 1.0} for annotation in truth.dataset["annotations"]]
     judge = COCOeval(truth, truth.loadRes(results), "bbox")

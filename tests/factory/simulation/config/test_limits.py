@@ -126,6 +126,14 @@ def test_a_number_in_another_unit_is_recognised(word: str, hint: str) -> None:
     assert hint in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    "sizes", [{"image": {"width_px": 8192, "height_px": 8192}}, {"beams": 8192, "range_bins": 8192}]
+)
+def test_images_that_no_shard_holds_are_refused(sizes: dict[str, Any]) -> None:
+    with pytest.raises(FactoryError, match=r"sonar.*(pixels|raw samples)"):
+        config(sonar=sizes)
+
+
 def test_water_may_be_fresh() -> None:
     values = composed(BASES["coherent"])
     assert from_mapping(changed(values, ("water", "salinity_psu"), 0)).water.salinity_psu == 0
