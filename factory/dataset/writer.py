@@ -106,15 +106,7 @@ def write_shard(
                     stack[-1] = image
         if not rows:
             return None
-        types = ((column.name, np.dtype(column.dtype)) for column in columns)
-        fields = [
-            (name, string_dtype("utf-8", kind.itemsize) if kind.kind == "S" else kind)
-            for name, kind in types
-        ]
-        table = file.create_dataset("meta", data=np.array(rows, dtype=fields), track_times=False)
-        for column in columns:
-            table.attrs[f"{column.name}.units"] = column.units
-            table.attrs[f"{column.name}.description"] = column.description
+        _write_table(file, rows, columns)
         file.attrs.update(root_attributes(provenance, split, settings.dtype))
         write_checksums(file, sums)
         file.flush()
@@ -125,6 +117,21 @@ def write_shard(
     write_atomically(path, content)
     sha256 = hashlib.sha256(content).hexdigest()
     return ShardInfo(relative, split, len(rows), len(content), sha256)
+
+
+def _write_table(
+    file: h5py.File, rows: Sequence[tuple[Any, ...]], columns: Sequence[Column]
+) -> None:
+    """Write the sample table `/meta` with units and descriptions."""
+    types = ((column.name, np.dtype(column.dtype)) for column in columns)
+    fields = [
+        (name, string_dtype("utf-8", kind.itemsize) if kind.kind == "S" else kind)
+        for name, kind in types
+    ]
+    table = file.create_dataset("meta", data=np.array(rows, dtype=fields), track_times=False)
+    for column in columns:
+        table.attrs[f"{column.name}.units"] = column.units
+        table.attrs[f"{column.name}.description"] = column.description
 
 
 def _create_stacks(

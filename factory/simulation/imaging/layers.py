@@ -56,9 +56,8 @@ def layer_images(requested: Sequence[str], surface: LitSurface) -> dict[str, Arr
             layers[name] = limit.reshape(shape)
     if "azimuth" in requested:
         azimuth_rad = echoes.azimuth_rad
-        if surface.conical:  # bearings, whose sine has the elevation in it
-            sine = np.sin(azimuth_rad) / np.cos(echoes.elevation_rad)
-            azimuth_rad = np.arcsin(np.clip(sine, -1, 1))
+        if surface.conical:
+            azimuth_rad = echoes.azimuths_of_bearings()
         layers["azimuth"] = paint_strongest(azimuth_rad, np.nan)
     if "segmentation" in requested:
         if frame.segmentation is None or frame.instance is None:

@@ -396,22 +396,7 @@ def make_pair(
     scenes = observed.scene, *observed.later_groups
     samples = [scene.sample(variant, draws.effects) for scene in scenes]
     layout = _Layout(observed.window, config, is_drawn=device is not None)
-    layers = dict(observed.layers)
-    for name, values in _measured_values(samples, draws, config).items():
-        layers[name] = lay_out_nearest(values, observed.window, config.sonar)
-    if "effects" in config.dataset.layers:
-        for name in draws.names:
-            grey = _by_beam_group([sample.noisy({name}) for sample in samples])
-            layers[f"layers/{name}"] = layout.image(grey, is_noisy=True)
-    if "static" in config.dataset.layers:
-        static_scene = observed.scene.static or observed.scene
-        static_clean = static_scene.sample(variant, draws.effects).clean
-        layers["static"] = layout.image(static_clean, is_noisy=False)
-
-    if "mean" in config.dataset.layers:
-        coherent_samples = [sample for sample in samples if isinstance(sample, CoherentSample)]
-        mean = _by_beam_group([sample.mean for sample in coherent_samples])
-        layers["mean"] = layout.image(mean, is_noisy=False)
+    layers = _layers_of_sample(observed, variant, samples, draws, layout, config)
 
     # Images of drawn devices have the columns of the coherent ones, whatever formed them.
     formation = config.acoustics.formation if device is None else "coherent"
@@ -438,6 +423,37 @@ def make_pair(
             observed.window.azimuth_max_rad,
         ),
     )
+
+
+def _layers_of_sample(
+    observed: ObservedFrame,
+    variant: int,
+    samples: Sequence[SceneSample],
+    draws: Draws,
+    layout: _Layout,
+    config: FactoryConfig,
+) -> dict[str, Array]:
+    """(H, W) images of all requested layers, by name.
+
+    samples: one for each group of beams.
+    """
+    requested_layers = config.dataset.layers
+    layers = dict(observed.layers)
+    for name, values in _measured_values(samples, draws, config).items():
+        layers[name] = lay_out_nearest(values, observed.window, config.sonar)
+    if "effects" in requested_layers:
+        for name in draws.names:
+            grey = _by_beam_group([sample.noisy({name}) for sample in samples])
+            layers[f"layers/{name}"] = layout.image(grey, is_noisy=True)
+    if "static" in requested_layers:
+        static_scene = observed.scene.static or observed.scene
+        static_clean = static_scene.sample(variant, draws.effects).clean
+        layers["static"] = layout.image(static_clean, is_noisy=False)
+    if "mean" in requested_layers:
+        coherent_samples = [sample for sample in samples if isinstance(sample, CoherentSample)]
+        mean = _by_beam_group([sample.mean for sample in coherent_samples])
+        layers["mean"] = layout.image(mean, is_noisy=False)
+    return layers
 
 
 def _visibility(

@@ -82,6 +82,11 @@ class Echoes:
         bearing_rad = np.arcsin(np.sin(self.azimuth_rad) * np.cos(self.elevation_rad))
         return replace(self, azimuth_rad=np.asarray(bearing_rad, np.float32))
 
+    def azimuths_of_bearings(self) -> Float32s:
+        """(N,) azimuths of echoes whose azimuths are bearings: `in_conical_beams` backwards."""
+        sine = np.sin(self.azimuth_rad) / np.cos(self.elevation_rad)
+        return np.asarray(np.arcsin(np.clip(sine, -1, 1)))
+
     def xyz_m(self) -> Float64s:
         """(N, 3) Cartesian coordinates in sonar axes, metres."""
         range_m = self.range_m.astype(np.float64)
