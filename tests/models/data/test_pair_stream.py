@@ -85,16 +85,11 @@ def test_labels_and_shapes_are_those_of_the_dataset(words: tuple[str, ...]) -> N
         PairStream(*words, layers=("noisy", "echo"))
 
 
-@pytest.mark.parametrize(("workers", "method"), [(0, None), (2, "fork"), (3, "fork")])
-def test_any_number_of_workers_gives_the_same_batches(
-    words: tuple[str, ...], workers: int, method: str | None
-) -> None:
+def test_several_workers_give_the_same_batches(words: tuple[str, ...]) -> None:
     stream = PairStream(*words, batch_size=2)
     alone = fingerprints(stream.batch(number) for number in range(6))
     assert len(set(alone)) == 6
-    loader = DataLoader(
-        stream, batch_size=None, num_workers=workers, multiprocessing_context=method
-    )
+    loader = DataLoader(stream, batch_size=None, num_workers=3, multiprocessing_context="fork")
     assert fingerprints(islice(loader, 6)) == alone
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import cv2
@@ -16,6 +17,7 @@ from simnfnd.factory.simulation.sonar.fan import fan_table
 from simnfnd.factory.simulation.sonar.settings import SonarSettings
 
 
+@cache
 def preset(name: str, width: int, height: int) -> SonarSettings:
     """A device of conf/sonar with a fan image of this size."""
     with initialize_config_module("simnfnd.conf", version_base=None):

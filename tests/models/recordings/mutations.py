@@ -10,7 +10,7 @@ from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.rosbag import RosBag
 from simnfnd.models.recordings.views import fan_of, grey_of
 
-MUTATIONS = 50
+MUTATIONS = 30
 
 
 def use(path: Path, *, again: bool = True) -> None:

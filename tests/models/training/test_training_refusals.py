@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,9 +10,9 @@ import h5py
 import numpy as np
 import pytest
 
+from simnfnd.command import main
 from simnfnd.factory.common.errors import FactoryError
 from tests.models.training.small_training import train_small
-from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
 
 
@@ -79,37 +77,32 @@ def test_unusable_datasets_are_refused(tmp_path: Path) -> None:
         train_small(other_dataset, tmp_path / "out")
 
 
-def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
+def test_bad_command_lines_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
     for arguments, words in (
         ((), "dataset: data=pairs needs the folder"),
         (("dataset=nowhere", "modle=nafnet"), "modle"),
     ):
-        done = subprocess.run(
-            [sys.executable, "-m", "simnfnd.models", *arguments],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-        )
-        assert done.returncode == 2, done.stderr
-        assert words in done.stderr
-        assert done.stderr.count("\n") == 1
+        monkeypatch.setattr(sys, "argv", ["simnfnd"])
+        assert main(["train", *arguments]) == 2
+        error = capfd.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
-def test_help_names_the_groups_of_a_training_alone() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "simnfnd", "train", "--help"],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    groups = re.findall(r"^(\w+): \w+, ", done.stdout, re.MULTILINE)
+def test_help_names_the_groups_of_a_training_alone(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    with pytest.raises(SystemExit):
+        main(["train", "--help"])
+    printed = capfd.readouterr().out
+    groups = re.findall(r"^(\w+): \w+, ", printed, re.MULTILINE)
     assert groups == ["data", "model", "loss"]
-    assert "learning_rate: 0.001" in done.stdout
+    assert "learning_rate: 0.001" in printed
 
 
 def test_output_that_cannot_be_written(dataset: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -16,27 +17,36 @@ from simnfnd.command import main
 SERIAL = ("scheduler=serial",)
 
 
-@pytest.fixture
-def failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset of two frames, one of which had no depth; its file is whole by now."""
-    monkeypatch.setattr(sys, "argv", ["simnfnd"])
-    monkeypatch.chdir(tmp_path)
-    folder = tmp_path / "scene"
+    root = tmp_path_factory.mktemp("made")
+    folder = root / "scene"
     folder.mkdir()
     depth = np.linspace(4000, 1500, 80 * 120).reshape(80, 120).astype(np.uint16)
     for name, image in (("good", depth), ("bad", depth * 0)):
         cv2.imwrite(str(folder / f"{name}.png"), np.full((80, 120, 3), 120, np.uint8))
         cv2.imwrite(str(folder / f"{name}_d.png"), image)
     (folder / "list.csv").write_text("good.png,good_d.png\nbad.png,bad_d.png\n")
-    out = tmp_path / "out"
+    out = root / "out"
     words = [
         *("scenes=csv_list", f"scenes.file={folder / 'list.csv'}", "render=analytic"),
         *("scenes.intrinsics=[100,100,60,40]", "dataset.preview_pairs=0", *SERIAL),
-        *(f"cache.dir={tmp_path / 'cache'}", f"dataset.dir={out}"),
+        *(f"cache.dir={root / 'cache'}", f"dataset.dir={out}"),
     ]
-    assert main(["make", *words]) == 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["simnfnd"])
+        assert main(["make", *words]) == 1
     cv2.imwrite(str(folder / "bad_d.png"), depth)
     return out
+
+
+@pytest.fixture
+def failed(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of it."""
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    monkeypatch.chdir(tmp_path)
+    return Path(shutil.copytree(made, tmp_path / "out"))
 
 
 def rewrite(out: Path, **changes: str) -> None:
@@ -82,8 +92,9 @@ def test_a_forged_configuration_chooses_no_folder_and_no_cluster(failed: Path, c
     assert not elsewhere.exists()
 
 
-def test_a_frame_that_still_fails_says_why(failed: Path, capfd) -> None:
-    depth = failed.parent / "scene/bad_d.png"
+def test_a_frame_that_still_fails_says_why(made: Path, failed: Path, capfd) -> None:
+    """The last test here: what it changes stays."""
+    depth = made.parent / "scene/bad_d.png"
     depth.write_bytes(b"no image")
     for _ in range(2):
         assert main(["status", str(failed), "--rerun", *SERIAL]) == 1

@@ -35,7 +35,7 @@ def litter(directory: Path) -> list[str]:
     return [path.name for path in directory.rglob(".*")]
 
 
-def wait_for(condition: Callable[[], object], seconds: float = 20.0) -> None:
+def wait_for(condition: Callable[[], object], seconds: float = 60.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "it did not come to pass"

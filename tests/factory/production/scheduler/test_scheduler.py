@@ -178,9 +178,27 @@ def test_frames_that_are_prepared_by_others_give_the_same_bytes(
         assert len(makers) == 1, "somebody else than the render worker prepared a frame"
 
 
-@pytest.mark.parametrize("backend", ["local", "dask"])
+def test_frames_that_fail_or_kill_dasks_workers_cost_themselves_alone(
+    tmp_path: Path, undisturbed: dict[str, bytes]
+) -> None:
+    directory = tmp_path / "dataset"
+    config = FakeConfig(
+        bad=("reef/alpha/0000",),
+        kills=("reef/alpha/0006",),
+        killed_once=("reef/beta/0003",),
+        marks=str(tmp_path),
+    )
+    report = staged(directory, config, scheduler={"backend": "dask"})
+    kinds = {name: item["kind"] for name, item in failures(directory).items()}
+    assert kinds == {"reef/alpha/0000": "frame", "reef/alpha/0006": "crash"}
+    assert report.samples == 32 - 2 * 2
+    bytes_of_shard = shard_bytes(directory)
+    for path in ("train/shard-00002.h5", "test/shard-00000.h5"):
+        assert bytes_of_shard[path] == undisturbed[path]
+
+
 def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
-    tmp_path: Path, undisturbed: dict[str, bytes], backend: str
+    tmp_path: Path, undisturbed: dict[str, bytes]
 ) -> None:
     directory = tmp_path / "dataset"
     config = FakeConfig(
@@ -191,7 +209,7 @@ def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
         killed_once=("reef/beta/0003",),
         marks=str(tmp_path),
     )
-    report = staged(directory, config, scheduler={"backend": backend}, frame_timeout_s=1.0)
+    report = staged(directory, config, frame_timeout_s=1.0)
     message = failures(directory)
     assert {name: item["kind"] for name, item in message.items()} == {
         "reef/alpha/0000": "frame",
@@ -282,7 +300,7 @@ def open_many(directory: Path, together: threading.Barrier) -> None:
 
 
 def test_slices_that_begin_at_once_are_all_let_in(tmp_path: Path) -> None:
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("fork")
     together = context.Barrier(SLICES)
     processes = [
         context.Process(target=open_many, args=(tmp_path, together)) for _ in range(SLICES)

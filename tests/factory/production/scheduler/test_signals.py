@@ -196,7 +196,7 @@ def test_a_signal_at_the_end_of_a_run_is_one_line_and_loses_nothing(
 
 KILLS = "reef/alpha/0004"
 HANGS = "reef/alpha/0009"
-WORKER_KILLS = 6
+WORKER_KILLS = 4
 MOST_RUNS = 12
 
 STORM = f"""

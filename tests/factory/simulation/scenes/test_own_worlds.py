@@ -280,7 +280,7 @@ def overlap(a: tuple, b: tuple) -> float:
     return float(common / (sum(areas) - common))
 
 
-@pytest.mark.parametrize("exponent", [1.0, 2.0, 3.0])
+@pytest.mark.parametrize("exponent", [1.0, 3.0])
 @pytest.mark.parametrize("shape", ["sphere", "plate"])
 def test_target_strengths_are_those_of_theory(tmp_path: Path, shape: str, exponent: float) -> None:
     """A rough sphere's is 2 pi a^2 mu / (n + 1), a plate's mu A, 1 / r^4 away.
