@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import os
 import sys
@@ -58,7 +59,9 @@ def load_compiled() -> None:
 @contextmanager
 def _alone() -> Iterator[None]:
     user = getattr(os, "getuid", int)()
-    lock = FileLock(Path(tempfile.gettempdir()) / f"simnfnd-kernels-{user}.lock")
+    # Two installations compile into folders of their own and need not wait for each other.
+    place = hashlib.sha256(str(Path(__file__).parent).encode()).hexdigest()[:8]
+    lock = FileLock(Path(tempfile.gettempdir()) / f"simnfnd-kernels-{user}-{place}.lock")
     with suppress(OSError):  # a full or read-only folder does not prevent compiling
         lock.acquire()
     try:

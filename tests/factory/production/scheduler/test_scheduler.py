@@ -269,7 +269,7 @@ def test_frames_that_never_stay_end_the_run_in_one_line(
 
 
 PROVENANCE = Provenance({"seed": 0}, config_hash({"seed": 0}), "simnfnd test")
-SLICES = 3
+SLICES = 2
 FOLDERS = 10
 
 
@@ -300,7 +300,7 @@ def open_many(directory: Path, together: threading.Barrier) -> None:
 
 
 def test_slices_that_begin_at_once_are_all_let_in(tmp_path: Path) -> None:
-    context = multiprocessing.get_context("fork")
+    context = multiprocessing.get_context("spawn")
     together = context.Barrier(SLICES)
     processes = [
         context.Process(target=open_many, args=(tmp_path, together)) for _ in range(SLICES)
