@@ -131,6 +131,7 @@ def _fuse(views: Sequence[Detections]) -> Detections:
         if not is_free[best]:
             continue
         is_member = (overlap[best] >= _SAME_IOU) & is_free
+        is_member[best] = True  # also of a box without extent, which overlaps nothing
         is_free &= ~is_member
         weights = scores[is_member]
         box = np.average(boxes[is_member], axis=0, weights=weights)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -243,6 +244,9 @@ def test_views_are_fused() -> None:
     np.testing.assert_allclose(fused.boxes, [[1 / 3, 1 / 3, 31 / 3, 31 / 3], box[1]], rtol=1e-5)
     np.testing.assert_allclose(fused.scores, [(0.8 + 0.6) / 2, (0.3 + 0.15) / 2], rtol=1e-6)
     assert fused.labels.tolist() == [1, 0]
+    # At the edge of an image a box may keep no area.
+    edge = Detections(as_boxes((64, 3, 64, 9)), np.array([0.2], np.float32), np.array([0]))
+    assert _fuse([edge]).boxes.tolist() == [[64, 3, 64, 9]]
 
 
 def test_margin_of_the_file_moves_the_sides(tmp_path: Path) -> None:
@@ -269,8 +273,11 @@ def test_the_detector_that_ships_is_that_of_its_card() -> None:
     trained = load_detector(path)
     count = sum(parameter.numel() for parameter in trained.network.parameters())
     assert f"{count:,}" in card
-    assert "steps=12000" in card
-    assert trained.training["schedule"]["steps"] == 12000
+    command = next(line for line in card.splitlines() if line.startswith("simnfnd evaluate"))
+    keys = dict(word.split("=", 1) for word in shlex.split(command) if "=" in word)
+    assert trained.training["schedule"]["steps"] == int(keys["steps"])
+    assert trained.margin == float(keys.get("margin", 0))
+    assert keys["classes"] == f"[{','.join(trained.classes)}]"
     assert all(name in card for name in trained.classes)
 
 
