@@ -286,7 +286,7 @@ def test_names_that_are_taken_or_unusable_are_refused() -> None:
     with pytest.raises(ValueError, match="median"):
         register_method(REGISTRY["median"])
     row_median = REGISTRY["median"]
-    wrong = {
+    wrong: dict[str, dict[str, Any]] = {
         "NaN": {"function": lambda image, size: image * np.nan},
         "TypeError": {"function": lambda image: image},
         "changes the image": {"function": lambda image, size: np.sqrt(image, out=image)},

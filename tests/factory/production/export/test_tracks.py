@@ -173,7 +173,7 @@ def test_pycocotools_judges_the_boxes_of_coco_video(swims, tmp_path):
 def test_coco_video_numbers_tracks_and_recordings(swims, tmp_path):
     export(swims, "coco_video", tmp_path / "out", "train")
     export(swims, "coco_video", tmp_path / "both")
-    ids = {"images": set(), "annotations": set(), "videos": set()}
+    ids: dict[str, set[int]] = {"images": set(), "annotations": set(), "videos": set()}
     for split in ("train", "test"):
         path = tmp_path / f"both/annotations/instances_{split}.json"
         for kind, known in ids.items():

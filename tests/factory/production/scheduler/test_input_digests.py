@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import time
 from pathlib import Path
@@ -27,7 +28,7 @@ def test_unchanged_files_are_not_read_again(
     assert len(before) == 32
 
     with monkeypatch.context() as patch:
-        patch.setattr(input_digests.hashlib, "file_digest", lambda *_: 1 / 0)
+        patch.setattr(hashlib, "file_digest", lambda *_: 1 / 0)
         assert InputDigests(table).digest(str(file)) == before
 
     # Another content of the same size, with the time of modification put back.
