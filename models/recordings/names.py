@@ -12,43 +12,17 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import partial
 from itertools import pairwise
 from pathlib import Path, PurePath
 from typing import NamedTuple
 
+from .name_forms import uniform_names
+from .stamps import FRACTION_MARKS, Stamp, find_stamp
+
 _NUMBER = re.compile(r"([0-9]+)")
-_EPOCH_UNITS = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
-"""Digits of a number of seconds since 1970 -> its unit, seconds."""
-_EARLIEST_S = 1e9  # in 2001
-_LATEST_S = 4.1e9  # in 2099
-_DATE_FORMATS: dict[tuple[int, ...], tuple[str, ...]] = {
-    (14,): ("%Y%m%d%H%M%S",),
-    (8, 6): ("%Y%m%d%H%M%S",),
-    (4, 2, 2, 6): ("%Y%m%d%H%M%S",),
-    (8, 2, 2, 2): ("%Y%m%d%H%M%S",),
-    (4, 2, 2, 2, 2, 2): ("%Y%m%d%H%M%S",),
-    (2, 2, 4, 6): ("%d%m%Y%H%M%S", "%m%d%Y%H%M%S"),
-    (2, 2, 4, 2, 2, 2): ("%d%m%Y%H%M%S", "%m%d%Y%H%M%S"),
-    (4, 3, 6): ("%Y%j%H%M%S",),
-    (4, 3, 2, 2, 2): ("%Y%j%H%M%S",),
-    (7, 6): ("%Y%j%H%M%S",),
-    (7, 2, 2, 2): ("%Y%j%H%M%S",),
-    (12,): ("%y%m%d%H%M%S",),
-    (6, 6): ("%y%m%d%H%M%S", "%d%m%y%H%M%S"),
-    (6, 2, 2, 2): ("%y%m%d%H%M%S", "%d%m%y%H%M%S"),
-    (2, 2, 2, 6): ("%y%m%d%H%M%S", "%d%m%y%H%M%S"),
-    (2, 2, 2, 2, 2, 2): ("%y%m%d%H%M%S", "%d%m%y%H%M%S"),
-}
-"""Digits of the numbers that make up a date and a time of day -> how they may be read, the
-likeliest first.  `%j` is the day of the year."""
 _ONE_SUFFIX = {".jpeg": ".jpg", ".tiff": ".tif"}
-_BEHIND_SECOND = re.compile(r"(?P<base>.*[0-9])(?P<mark>[_.-]| ?\()(?P<number>[0-9]+)\)?")
-_DAY_S = 86400.0
-_NIGHT_S = 3600.0  # frames around midnight lie no further apart
-_FRACTION_MARKS = (".", ",")
-_CLOCK_MARKS = ("-", "_", ".", ":", "h", "m", " ")
+_BEHIND_SECOND = re.compile(r"(?P<base>.*[0-9])[_-](?P<number>[0-9]+)")
+_IN_BRACKETS = re.compile(r"(?P<base>.+?) ?\((?P<number>[0-9]+)\)")
 _NANOSECOND_DIGITS = 9
 _LONGEST_DECIMAL = 7
 """Digits up to which Python prints fractions of such a second; more are whole nanoseconds."""
@@ -72,6 +46,7 @@ def sequences_of(names: Sequence[str]) -> list[list[int]]:
 
     Sequences, and the names within each, are in natural order or in that of their time stamps.
     """
+    names = uniform_names(names)
     behind = _numbered_behind(names)
     bases = [index for index in range(len(names)) if index not in behind]
     sequences: list[list[int]] = []
@@ -111,28 +86,25 @@ class _NumberedBehind(NamedTuple):
     """A name that is another name and a number.  base: place of the other name."""
 
     base: int
-    number: float
+    number: int
 
 
 def _numbered_behind(names: Sequence[str]) -> dict[int, _NumberedBehind]:
     """Names that only differ from another one by a number behind it, by their place.
 
-    These are further frames of one second, copies that a file manager numbered in brackets, and
-    fractions of a whole number that is there without one.
+    These are further frames of one second, and copies that a file manager numbered in brackets.
     """
     places = {_stem_and_suffix(name): index for index, name in enumerate(names)}
     behind: dict[int, _NumberedBehind] = {}
     for index, name in enumerate(names):
         stem, suffix = _stem_and_suffix(name)
-        match = _BEHIND_SECOND.fullmatch(stem)
+        in_brackets = _IN_BRACKETS.fullmatch(stem)
+        match = in_brackets or _BEHIND_SECOND.fullmatch(stem)
         base = places.get((match["base"], suffix)) if match is not None else None
         if match is None or base is None:
             continue
-        if match["mark"] in ("_", "-") and not _is_stamped(names[base]):
-            continue
-        is_fraction = match["mark"] == "."
-        number = float(f"0.{match['number']}") if is_fraction else float(match["number"])
-        behind[index] = _NumberedBehind(base, number)
+        if in_brackets is not None or _is_stamped(names[base]):
+            behind[index] = _NumberedBehind(base, int(match["number"]))
     # A name behind one that stands behind another is no frame of that second.
     return {index: numbered for index, numbered in behind.items() if numbered.base not in behind}
 
@@ -141,10 +113,9 @@ def _is_stamped(name: str) -> bool:
     """Whether a name ends in a time stamp, with its suffix taken away."""
     stem, suffix = _stem_and_suffix(name)
     pattern = tuple(_NUMBER.split(stem + suffix)[::2])
-    row = _Row(0, name, tuple(_digits(name)))
-    stamp = _stamp_of(pattern, [row], list(range(len(row.digits))))
-    digit_count = len(_digits(stem))
-    return stamp is not None and stamp.fields[1] == digit_count - 1
+    digits = _digits(name)
+    stamp = find_stamp(pattern, [digits], range(len(digits)))
+    return stamp is not None and not stamp.is_date and stamp.last == len(_digits(stem)) - 1
 
 
 @dataclass(frozen=True)
@@ -163,17 +134,6 @@ class _Row:
         return float(f"0.{self.digits[field]}")
 
 
-@dataclass(frozen=True)
-class _Stamp:
-    """Where time stamps stand.
-
-    fields: first and last number that belong to them.  seconds: of each name, by its place.
-    """
-
-    fields: tuple[int, int]
-    seconds: dict[int, float]
-
-
 def _digits(name: str) -> list[str]:
     return _NUMBER.findall(name)
 
@@ -184,8 +144,8 @@ def _split(pattern: tuple[str, ...], rows: list[_Row]) -> list[list[_Row]]:
     varying = [field for field in fields if len({row.digits[field] for row in rows}) > 1]
     if not varying:
         return [[row] for row in rows]
-    stamp = _stamp_of(pattern, rows, varying)
-    if stamp is not None:
+    stamp = find_stamp(pattern, [row.digits for row in rows], varying)
+    if stamp is not None and not stamp.is_date:
         return _by_stamp(pattern, rows, varying, stamp)
     decimal = _decimal_of(pattern, rows, varying)
     if decimal is not None:
@@ -195,7 +155,16 @@ def _split(pattern: tuple[str, ...], rows: list[_Row]) -> list[list[_Row]]:
     if _is_distinct(rows, [counter]):
         before = []
     groups = _grouped(rows, lambda row: tuple(row.number(field) for field in before))
-    return [_sorted(group, lambda row: (row.number(counter),)) for group in groups]
+    date_s = dict.fromkeys((row.index for row in rows), 0.0)
+    if stamp is not None:
+        date_s = _seconds_by_index(rows, stamp)
+    return [
+        _sorted(group, lambda row: (date_s[row.index], row.number(counter))) for group in groups
+    ]
+
+
+def _seconds_by_index(rows: list[_Row], stamp: Stamp) -> dict[int, float]:
+    return {row.index: value for row, value in zip(rows, stamp.seconds, strict=True)}
 
 
 def _sorted(rows: list[_Row], key: Callable[[_Row], tuple[float, ...]]) -> list[_Row]:
@@ -250,106 +219,13 @@ def _counter_of(rows: list[_Row], varying: list[int]) -> int:
     return varying[-1]
 
 
-def _stamp_of(pattern: tuple[str, ...], rows: list[_Row], varying: list[int]) -> _Stamp | None:
-    """The first time stamp in the names whose seconds or fractions vary; None where none does."""
-    widths = [{len(row.digits[field]) for row in rows} for field in range(len(pattern) - 1)]
-    for first in range(len(widths)):
-        for count, seconds_of in _readings(pattern, widths, first):
-            fields = range(first, first + count)
-            # The fraction of a second may be all that varies.
-            if not any(field in varying for field in (*fields, first + count)):
-                continue
-            seconds = {row.index: seconds_of(row.digits[first : first + count]) for row in rows}
-            known = {index: value for index, value in seconds.items() if value is not None}
-            if len(known) == len(rows):
-                if seconds_of is _seconds_of_clock:
-                    known = _over_midnight(known)
-                return _Stamp((first, first + count - 1), known)
-    return _stamp_over_midnight(rows, varying)
-
-
-def _stamp_over_midnight(rows: list[_Row], varying: list[int]) -> _Stamp | None:
-    """A number of six digits that is a time of day: only midnight tells it from one that counts."""
-    for field in varying:
-        if {len(row.digits[field]) for row in rows} != {6} or not _is_distinct(rows, [field]):
-            continue
-        seconds = {row.index: _seconds_of_clock([row.digits[field]]) for row in rows}
-        known = {index: value for index, value in seconds.items() if value is not None}
-        later = _over_midnight(known)
-        if len(known) == len(rows) and later != known:
-            return _Stamp((field, field), later)
-    return None
-
-
-def _over_midnight(seconds: dict[int, float]) -> dict[int, float]:
-    """Times of day by the place of their name; those after midnight with a day added.
-
-    A recording goes over midnight where more than half a day within it is empty, and the frames
-    before and after midnight are not.
-    """
-    times = sorted(set(seconds.values()))
-    if len(times) < 2 or times[0] + _DAY_S - times[-1] > _NIGHT_S:
-        return seconds
-    gap, morning_end = max((later - earlier, earlier) for earlier, later in pairwise(times))
-    if gap <= _DAY_S / 2:
-        return seconds
-    return {
-        index: value + _DAY_S if value <= morning_end else value for index, value in seconds.items()
-    }
-
-
-_Reading = Callable[[Sequence[str]], float | None]
-
-
-def _readings(
-    pattern: tuple[str, ...], widths: list[set[int]], first: int
-) -> list[tuple[int, _Reading]]:
-    """How many numbers from `first` on may be a time stamp, and what reads them as seconds."""
-    readings: list[tuple[int, _Reading]] = []
-    if len(widths[first]) == 1 and min(widths[first]) in _EPOCH_UNITS:
-        readings.append((1, _seconds_of_epoch))
-    for date, formats in _DATE_FORMATS.items():
-        if widths[first : first + len(date)] == [{width} for width in date]:
-            readings += [(len(date), partial(_seconds_of_date, text)) for text in formats]
-    between = pattern[first + 1 : first + 3]
-    is_clock = widths[first : first + 3] == [{2}, {2}, {2}]
-    if is_clock and all(mark in _CLOCK_MARKS for mark in between):
-        readings.append((3, _seconds_of_clock))
-    has_fraction = first + 1 < len(widths) and pattern[first + 1] in _FRACTION_MARKS
-    if widths[first] == {6} and has_fraction:
-        readings.append((1, _seconds_of_clock))
-    return readings
-
-
-def _seconds_of_epoch(digits: Sequence[str]) -> float | None:
-    seconds = int(digits[0]) * _EPOCH_UNITS[len(digits[0])]
-    return seconds if _EARLIEST_S <= seconds <= _LATEST_S else None
-
-
-def _seconds_of_date(date_format: str, digits: Sequence[str]) -> float | None:
-    try:
-        date = datetime.strptime("".join(digits), date_format).replace(tzinfo=UTC)
-    except ValueError:
-        return None
-    return date.timestamp() if 1970 <= date.year < 2100 else None
-
-
-def _seconds_of_clock(digits: Sequence[str]) -> float | None:
-    text = "".join(digits)
-    hours = int(text[:2])
-    minutes = int(text[2:4])
-    seconds = int(text[4:])
-    if hours > 23 or minutes > 59 or seconds > 60:
-        return None
-    return 3600.0 * hours + 60 * minutes + seconds
-
-
 def _by_stamp(
-    pattern: tuple[str, ...], rows: list[_Row], varying: list[int], stamp: _Stamp
+    pattern: tuple[str, ...], rows: list[_Row], varying: list[int], stamp: Stamp
 ) -> list[list[_Row]]:
     """Names in the order of their stamps; apart where a number before these differs."""
-    first, last = stamp.fields
-    before = [field for field in varying if field < first]
+    last = stamp.last
+    seconds = _seconds_by_index(rows, stamp)
+    before = [field for field in varying if field < stamp.first]
     behind = [field for field in range(last + 1, len(pattern) - 1)]
     is_decimal = bool(behind) and _is_decimal(pattern[last + 1], rows, last + 1)
 
@@ -357,7 +233,7 @@ def _by_stamp(
         numbers = [float(row.number(field)) for field in behind]
         if is_decimal:
             numbers[0] = float(row.digits[last + 1].ljust(_NANOSECOND_DIGITS, "0"))
-        return stamp.seconds[row.index], *numbers
+        return seconds[row.index], *numbers
 
     sequences: list[list[_Row]] = []
     groups = _grouped(rows, lambda row: tuple(row.number(field) for field in before))
@@ -365,8 +241,8 @@ def _by_stamp(
         groups = [rows]
     for group in groups:
         parts = [group]
-        if behind and pattern[last + 1] not in _FRACTION_MARKS:
-            parts = _apart_by_start(group, stamp, last + 1)
+        if behind and pattern[last + 1] not in FRACTION_MARKS:
+            parts = _apart_by_start(group, seconds, last + 1)
         sequences += [_sorted(part, moment) for part in parts]
     return sequences
 
@@ -374,13 +250,13 @@ def _by_stamp(
 def _is_decimal(mark: str, rows: list[_Row], field: int) -> bool:
     """Whether a number behind a point is a decimal fraction whose last zeros are left out."""
     lengths = {len(row.digits[field]) for row in rows}
-    return mark in _FRACTION_MARKS and len(lengths) > 1 and max(lengths) <= _LONGEST_DECIMAL
+    return mark in FRACTION_MARKS and len(lengths) > 1 and max(lengths) <= _LONGEST_DECIMAL
 
 
-def _apart_by_start(rows: list[_Row], stamp: _Stamp, counter: int) -> list[list[_Row]]:
+def _apart_by_start(rows: list[_Row], seconds: dict[int, float], counter: int) -> list[list[_Row]]:
     """Recordings whose names begin with when they began, and then count; else all together."""
-    groups = _grouped(rows, lambda row: (stamp.seconds[row.index],))
-    starts = sorted({stamp.seconds[row.index] for row in rows})
+    groups = _grouped(rows, lambda row: (seconds[row.index],))
+    starts = sorted({seconds[row.index] for row in rows})
     is_recording = all(later - earlier > _NEXT_SECOND_S for earlier, later in pairwise(starts))
     for group in groups:
         numbers = sorted(row.number(counter) for row in group)

@@ -50,6 +50,30 @@ ONE_SEQUENCE = {
     "halves between whole numbers": [f"t{value}.png" for value in ("0", "0.125", "0.5", "1")],
     "counted behind a point": [f"rec1.{n}.png" for n in (1, 2, 9, 10, 11)],
     "two spellings of a suffix": ["1.jpg", "2.jpeg", "3.JPG", "10.jpeg"],
+    "a day first": [
+        *(f"30092025_2359{n:02d}.png" for n in (58, 59)),
+        *(f"01102025_0000{n:02d}.png" for n in (0, 1)),
+    ],
+    "a day first, in one number": ["30092025235959.png", "01102025000000.png"],
+    "a day first in a year of two digits": ["30.09.25_235959.png", "01.10.25_000000.png"],
+    "milliseconds without a mark": [
+        *(f"20250924_235959{n:03d}.png" for n in (5, 900)),
+        *(f"20250925_000000{n:03d}.png" for n in (100, 600)),
+    ],
+    "such a clock over midnight": ["s_235959100.png", "s_235959900.png", "s_000000100.png"],
+    "hours and minutes": [
+        f"{name}.png" for name in ("20250924_2358", "20250924_2359", "20250925_0001")
+    ],
+    "months by name": ["30Sep2025_101500.png", "01Oct2025_101500.png", "02Oct2025_101500.png"],
+    "a clock of twelve hours": [
+        f"Shot 2025-9-24 at {clock}.png"
+        for clock in ("9.59.58 AM", "10.00.01 AM", "12.30.00 PM", "1.05.00 PM")
+    ],
+    "a clock without zeros": [f"a {c}.png" for c in ("9.5.58", "9.5.59", "9.6.1", "10.6.0")],
+    "hexadecimal": [f"ping_{n:04x}.png" for n in range(8, 28)],
+    "hexadecimal with a mark": [f"0x{n:02X}_sonar.png" for n in range(6, 20)],
+    "a half before the first second": [f"t{value}.png" for value in ("0.5", "1", "1.5", "2")],
+    "copies of a word": ["img.png", "img (1).png", "img (2).png", "img (10).png"],
     "capitals": [f"A{n}.{'PNG' if n % 2 else 'png'}" for n in range(12)],
 }
 
@@ -77,6 +101,12 @@ SEVERAL = {
         ["dive1.png", "dive2.png"],
         *[[f"dive{dive}_{n:03d}.png" for n in range(1, 4)] for dive in (1, 2)],
     ],
+    "dives of two days": [
+        [f"{day}_dive{dive}_{n:02d}.png" for n in range(3)]
+        for day in (20250924, 20250925)
+        for dive in (1, 2)
+    ],
+    "names by chance": [["0b77e2.png"], ["1c01d3.png"], ["9af31c.png"]],
     "no numbers": [["a.png"], ["b.png"]],
 }
 
