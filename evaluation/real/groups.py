@@ -13,6 +13,7 @@ import numpy as np
 from ...factory.common.array_types import Bools
 from ...factory.common.errors import FrameError
 from ...factory.dataset.fan_geometry import FanGeometry
+from ...models.denoise.temporal.like_frames import LikeFrames
 from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.repeats import CopyFinder
@@ -91,6 +92,8 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     tracker = FanTracker()
     copy_finder = CopyFinder()
     copies = 0
+    # A mean of unlike settings or levels is no reference.
+    like_frames = LikeFrames(compares_levels=recording)
     shots: list[RecordedImage] = []
     fans: list[FanGeometry | None] = []
     sectors: list[Bools] = []
@@ -109,14 +112,16 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
         if copy_finder.is_copy(image):
             copies += 1
             continue
+        like_frames.add(image, shot.settings())
         shots.append(shot)
         fans.append(geometry)
         sectors.append(sector_of(image, geometry))
     if copies:
         notes.append(f"{stretch.name}: {copies} frames left out that are copies of others")
     groups = []
-    images = _Images(shots)
-    for static in find_groups(images, sectors, least=LEAST):
+    if note := like_frames.note(stretch.name):
+        notes.append(note)
+    for static in _static_groups(shots, sectors, like_frames):
         group = _group(stretch.name, shots, fans, sectors, static, limit)
         if group.still < _LEAST_STILL:
             count = len(static.numbers)
@@ -128,6 +133,17 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
             replace(group, name=f"{group.name} ({n})") for n, group in enumerate(groups, start=1)
         ]
     return Searched(groups, shots, notes)
+
+
+def _static_groups(
+    shots: Sequence[RecordedImage], sectors: Sequence[Bools], like_frames: LikeFrames
+) -> Iterator[StaticGroup]:
+    """The static groups of each kind of frames, by the places of all shots."""
+    for places in like_frames.places:
+        images = _Images([shots[place] for place in places])
+        for static in find_groups(images, [sectors[place] for place in places], least=LEAST):
+            numbers = tuple(places[number] for number in static.numbers)
+            yield StaticGroup(numbers, static.shifts_px)
 
 
 @dataclass(frozen=True)

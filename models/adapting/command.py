@@ -38,6 +38,8 @@ def main(arguments: Sequence[str]) -> int:
     read = read_clips([Path(name).expanduser() for name in options.recordings], out, geometries)
     for line in read.skipped[:3]:
         print(f"skipped: {line}", file=sys.stderr)
+    for line in read.notes:
+        print(line)
     if read.copies:
         print(f"repeated frames: {read.copies} copies of others are left out")
     for line in geometries.summary():

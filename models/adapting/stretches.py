@@ -15,7 +15,9 @@ import numpy as np
 from ...factory.common.array_types import Bools, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
+from ..denoise.temporal.like_frames import LikeFrames
 from ..recordings import Recording, SonarFrame, open_recording
+from ..recordings.device_settings import DeviceSettings, settings_in_name, settings_of
 from ..recordings.images import ImageFiles
 from ..recordings.inputs import Geometries, InputFile, find_items, sequences
 from ..recordings.palettes import grey_of_colours
@@ -34,10 +36,14 @@ _LEAST_KNOWN = 0.1  # of the sector that must be static
 
 @dataclass(frozen=True, eq=False)
 class StretchFrame:
-    """One frame: (H, W) float32 in 0..1, and where range and bearing are, if that is known."""
+    """One frame: (H, W) float32 in 0..1, and where range and bearing are, if that is known.
+
+    settings: of the sonar, as far as they are stated.
+    """
 
     grey: Float32s
     geometry: FanGeometry | None = None
+    settings: DeviceSettings = field(default_factory=DeviceSettings)
 
     @property
     def sector(self) -> Bools:
@@ -63,6 +69,7 @@ class ReadClips:
 
     frames: number of frames in the recordings.  skipped: a line for each frame that was not read.
     paths: of the files.  copies: number of frames left out because they are copies of others.
+    notes: a line for each recording of several kinds of frames, which are clips of their own.
     """
 
     clips: list[Clip] = field(default_factory=list)
@@ -70,6 +77,7 @@ class ReadClips:
     frames: int = 0
     skipped: list[str] = field(default_factory=list)
     copies: int = 0
+    notes: list[str] = field(default_factory=list)
 
 
 def read_clips(
@@ -90,12 +98,24 @@ def read_clips(
     for source, count in zip(sources, counts, strict=True):
         shots = list(_shots(source, runs(count, share), geometries, read)) if count else []
         if shots:
-            is_shuffled = source[0].kind == "images"
-            read.clips.append(Clip(source[0].source.name, presented(shots), is_shuffled))
+            read.clips += _clips_of(source[0], shots, read)
     if not read.clips:
         more = f" ({read.skipped[0]})" if read.skipped else ""
         raise FactoryError(f"{paths[0]}: no frame can be read{more}")
     return read
+
+
+def _clips_of(item: InputFile, shots: list[StretchFrame], read: ReadClips) -> Iterator[Clip]:
+    """A clip of each kind of frames: the mean of frames that are unlike is no target."""
+    name = item.source.name
+    is_shuffled = item.kind == "images"
+    like_frames = LikeFrames(compares_levels=not is_shuffled)
+    for shot in shots:
+        like_frames.add(shot.grey, shot.settings)
+    if note := like_frames.note(name):
+        read.notes.append(note)
+    for places in like_frames.places:
+        yield Clip(name, presented([shots[place] for place in places]), is_shuffled)
 
 
 def _refuse_shards(items: Sequence[InputFile]) -> None:
@@ -124,7 +144,8 @@ def presented(shots: list[StretchFrame]) -> list[StretchFrame]:
     shown = []
     for shot, presentation in zip(shots, presentations, strict=True):
         equalised = replace(presentation, gain=gain)
-        shown.append(StretchFrame(equalised.shown(shot.grey), equalised.geometry))
+        grey = equalised.shown(shot.grey)
+        shown.append(StretchFrame(grey, equalised.geometry, shot.settings))
     return shown
 
 
@@ -171,11 +192,13 @@ def _shots(
 
 
 def _shot_of(frame: SonarFrame, item: InputFile, geometries: Geometries) -> StretchFrame:
+    settings = settings_in_name(item.source.name) if item.kind == "images" else settings_of(frame)
     if frame.beams is not None:
-        return StretchFrame(grey_of(frame), polar_geometry(frame.beams, len(frame.samples)))
+        geometry = polar_geometry(frame.beams, len(frame.samples))
+        return StretchFrame(grey_of(frame), geometry, settings)
     is_grey = frame.samples.ndim == 2
     grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
-    return StretchFrame(grey, frame.geometry or geometries.of(item, grey))
+    return StretchFrame(grey, frame.geometry or geometries.of(item, grey, frame.sequence), settings)
 
 
 @dataclass(frozen=True, eq=False)

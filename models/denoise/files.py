@@ -17,7 +17,7 @@ from ..recordings.base import ARRAY_SUFFIX
 from ..recordings.device_settings import settings_in_name
 from ..recordings.images import read_image
 from ..recordings.inputs import InputFile
-from ..recordings.portable_grey import white_of_file
+from ..recordings.portable_maps import white_of_file
 from .images import Denoised, FrameShots, OutOfRange, Place
 from .job import DenoisingJob
 from .reports import FileReport, fusion_columns

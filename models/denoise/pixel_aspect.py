@@ -1,12 +1,15 @@
-"""The shape of pixels in Matroska files, which PyAV cannot state where the codec does not.
+"""The shape of pixels in Matroska, WebM and AVI files, which PyAV cannot state for some codecs.
 
-FFmpeg leaves room (a Void element) in the entry of a track.  The size at which a player shows the
-video (RFC 9559, DisplayWidth and DisplayHeight) is put there, so that nothing behind it moves.
+FFmpeg leaves room (Void elements, a JUNK chunk) in the headers of these files.  What states the
+shape is put there, so that the frames stay where they are: in Matroska and WebM the size at which a
+player shows the video (RFC 9559, DisplayWidth and DisplayHeight), in AVI the video properties
+header of OpenDML (version 1.02) with the aspect ratio of the frame.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 import zlib
 from collections.abc import Iterator
 from fractions import Fraction
@@ -16,6 +19,9 @@ from typing import IO, NamedTuple
 from ..recordings.containers import SEGMENT, Element, element_at
 
 _CRC = b"\xbf"
+_SEEK_HEAD = b"\x11\x4d\x9b\x74"
+_SEEK = b"\x4d\xbb"
+_SEEK_POSITION = b"\x53\xac"
 _TRACKS = b"\x16\x54\xae\x6b"
 _TRACK_ENTRY = b"\xae"
 _VIDEO = b"\xe0"
@@ -26,6 +32,14 @@ _DISPLAY_UNIT = b"\x54\xb2"
 _LEAST_VOID = 2  # bytes of the smallest element
 _MOST_SHORT = 126  # length that a field of one byte states
 
+_HEADER_LIST = b"hdrl"
+_STREAM_LIST = b"strl"
+_STREAM_HEADER = b"strh"
+_JUNK = b"JUNK"
+_PROPERTIES = b"vprp"
+_PROPERTIES_LAYOUT = struct.Struct("<5I2H11I")
+_MOST_RATIO = 0xFFFF
+
 
 class _Child(NamedTuple):
     """An element in another one.  end: where the next one begins."""
@@ -35,25 +49,141 @@ class _Child(NamedTuple):
     end: int
 
 
-def state_pixel_aspect(path: Path, size: tuple[int, int], pixel_aspect: Fraction) -> bool:
-    """State the width of a pixel by its height in a Matroska file that FFmpeg has written.
+class _Entry(NamedTuple):
+    """The segment of a file, its tracks, the one with images, and what that says of them."""
 
-    size: height and width, pixels.  Returns whether there was room for it; else the file stays as
-    it is.
+    segment: _Child
+    tracks: _Child
+    track: _Child
+    video: _Child
+
+
+def state_pixel_aspect(
+    path: Path, container: str, size: tuple[int, int], pixel_aspect: Fraction
+) -> bool:
+    """State the width of a pixel by its height in a file that FFmpeg has written.
+
+    container: FFmpeg's name of it, `matroska`, `webm` or `avi`.  size: height and width, pixels.
+    Returns whether there was room for it; else the file stays as it is.
     """
     with path.open("r+b") as file:
+        if container == "avi":
+            return _state_in_avi(file, size, pixel_aspect)
         entry = _entry_of_video(file)
         if entry is None:
             return False
-        tracks, track, video = entry
         display = _display_size(size, pixel_aspect)
-        content = _with_display(file, track, video, display)
+        content = _with_display(file, entry.track, entry.video, display)
         if content is None:
-            return False
-        file.seek(track.element.content)
+            return _state_behind_void(file, entry, display)
+        file.seek(entry.track.element.content)
         file.write(content)
-        _renew_checksum(file, tracks)
+        _renew_checksum(file, entry.tracks)
     return True
+
+
+def _state_in_avi(file: IO[bytes], size: tuple[int, int], pixel_aspect: Fraction) -> bool:
+    """Put the video properties header in front of the padding of the stream's headers."""
+    height, width = size
+    frame_aspect = Fraction(width, height) * pixel_aspect
+    junk = _padding_of_stream(file)
+    is_small = max(frame_aspect.numerator, frame_aspect.denominator) <= _MOST_RATIO
+    if junk is None or not is_small:
+        return False
+    place, length = junk
+    ratio = frame_aspect.denominator, frame_aspect.numerator
+    field = (height, width, height, width, 0, 0, 0, 0)
+    # Format, standard and rate are not stated; one field makes a frame.
+    properties = _PROPERTIES_LAYOUT.pack(0, 0, 0, width, height, *ratio, width, height, 1, *field)
+    chunk = _PROPERTIES + struct.pack("<I", len(properties)) + properties
+    if length < len(chunk):
+        return False
+    file.seek(place)
+    file.write(chunk + _JUNK + struct.pack("<I", length - len(chunk)))
+    return True
+
+
+def _padding_of_stream(file: IO[bytes]) -> tuple[int, int] | None:
+    """Where the padding of the first stream's headers begins, and its length."""
+    start, end = 12, 1 << 16
+    lists = [_HEADER_LIST, _STREAM_LIST]
+    while start < end:
+        head = _bytes_of(file, start, start + 12)
+        if len(head) < 12:
+            return None
+        length = int.from_bytes(head[4:8], "little")
+        if head[:4] == _JUNK and not lists:
+            return start, length
+        if head[:4] == b"LIST" and lists and head[8:12] == lists[0]:
+            lists.pop(0)
+            end = start + 8 + length
+            start += 12
+            continue
+        start += 8 + length + length % 2
+    return None
+
+
+def _state_behind_void(file: IO[bytes], entry: _Entry, display: tuple[int, int]) -> bool:
+    """State the display size in room that is left in front of the tracks, which move to there."""
+    segment, tracks, track, video = entry
+    start = segment.element.content
+    voids = [
+        child for child in _children(file, start, tracks.start) if child.element.identifier == _VOID
+    ]
+    content = _video_content(file, video)
+    stated = _stated(display, None)
+    assert stated is not None
+    moved = len(content) + len(stated) - (video.end - video.element.content)
+    if not voids or (voids[-1].element.length or 0) < moved:
+        return False
+    void = voids[-1]
+    new_video = _resized(file, video, content + stated)
+    new_track = _resized(file, track, _replaced(file, track, video, new_video))
+    new_tracks = _resized(file, tracks, _replaced(file, tracks, track, new_track))
+    new_void = _resized(file, void, bytes((void.element.length or 0) - moved))
+    between = _bytes_of(file, void.end, tracks.start)
+    moved_content = new_void + between + new_tracks
+    if len(moved_content) != tracks.end - void.start:  # a length needs more bytes
+        return False
+    file.seek(void.start)
+    file.write(moved_content)
+    _correct_positions(file, segment, range(void.end - start, tracks.end - start), moved)
+    moved_tracks = _child(file, start, tracks.end, _TRACKS)
+    if moved_tracks is not None:
+        _renew_checksum(file, moved_tracks)
+    return True
+
+
+def _correct_positions(file: IO[bytes], segment: _Child, moved: range, by: int) -> None:
+    """Correct what the index of a segment says of parts that moved ahead."""
+    index = _child(file, segment.element.content, segment.end, _SEEK_HEAD)
+    if index is None:
+        return
+    for seek in _children(file, index.element.content, index.end):
+        position = _child_of(file, seek, _SEEK_POSITION)
+        if position is None:
+            continue
+        field = _bytes_of(file, position.element.content, position.end)
+        place = int.from_bytes(field, "big")
+        if place in moved:
+            file.seek(position.element.content)
+            file.write((place - by).to_bytes(len(field), "big"))
+    _renew_checksum(file, index)
+
+
+def _resized(file: IO[bytes], child: _Child, content: bytes) -> bytes:
+    """An element with other content, its length in as many bytes as before where these suffice."""
+    identifier = child.element.identifier
+    width = child.element.content - child.start - len(identifier)
+    while len(content) >= (1 << 7 * width) - 1:
+        width += 1
+    return identifier + (1 << 7 * width | len(content)).to_bytes(width, "big") + content
+
+
+def _replaced(file: IO[bytes], parent: _Child, child: _Child, new: bytes) -> bytes:
+    """The content of an element with another child in place of one."""
+    before = _bytes_of(file, parent.element.content, child.start)
+    return before + new + _bytes_of(file, child.end, parent.end)
 
 
 def _display_size(size: tuple[int, int], pixel_aspect: Fraction) -> tuple[int, int]:
@@ -64,21 +194,21 @@ def _display_size(size: tuple[int, int], pixel_aspect: Fraction) -> tuple[int, i
     return ratio.numerator * times, ratio.denominator * times
 
 
-def _entry_of_video(file: IO[bytes]) -> tuple[_Child, _Child, _Child] | None:
-    """The tracks, the entry of the track with images, and what that says of them."""
+def _entry_of_video(file: IO[bytes]) -> _Entry | None:
     header = element_at(file, 0)
     if header is None or header.length is None:
         return None
-    segment = element_at(file, header.content + header.length)
-    if segment is None or segment.identifier != SEGMENT or segment.length is None:
+    segment_start = header.content + header.length
+    element = element_at(file, segment_start)
+    if element is None or element.identifier != SEGMENT or element.length is None:
         return None
-    end = segment.content + segment.length
-    tracks = _child(file, segment.content, end, _TRACKS)
+    end = element.content + element.length
+    tracks = _child(file, element.content, end, _TRACKS)
     track = _child_of(file, tracks, _TRACK_ENTRY)
     video = _child_of(file, track, _VIDEO)
     if tracks is None or track is None or video is None:
         return None
-    return tracks, track, video
+    return _Entry(_Child(element, segment_start, end), tracks, track, video)
 
 
 def _children(file: IO[bytes], start: int, end: int) -> Iterator[_Child]:
@@ -109,12 +239,7 @@ def _with_display(
     void = _child_of(file, track, _VOID)
     if void is None:
         return None
-    # FFmpeg states an unknown unit; without a unit, both numbers are pixels.
-    video_content = b"".join(
-        _bytes_of(file, child.start, child.end)
-        for child in _children(file, video.element.content, video.end)
-        if child.element.identifier not in (_DISPLAY_UNIT, _DISPLAY_WIDTH, _DISPLAY_HEIGHT)
-    )
+    video_content = _video_content(file, video)
     room = void.end - void.start + video.end - video.start - 2 - len(video_content)
     stated = _stated(display, room)
     if stated is None or len(video_content) + len(stated) > _MOST_SHORT:
@@ -133,13 +258,26 @@ def _with_display(
     return changed if len(changed) == track.end - track.element.content else None
 
 
-def _stated(display: tuple[int, int], room: int) -> bytes | None:
-    """Both numbers as elements that leave nothing of the room, or enough for an element."""
+def _video_content(file: IO[bytes], video: _Child) -> bytes:
+    """What a track says of its images, without the size at which they are shown."""
+    # FFmpeg states an unknown unit; without a unit, both numbers are pixels.
+    return b"".join(
+        _bytes_of(file, child.start, child.end)
+        for child in _children(file, video.element.content, video.end)
+        if child.element.identifier not in (_DISPLAY_UNIT, _DISPLAY_WIDTH, _DISPLAY_HEIGHT)
+    )
+
+
+def _stated(display: tuple[int, int], room: int | None) -> bytes | None:
+    """Both numbers as elements that leave nothing of the room, or enough for an element.
+
+    room: bytes; None: as many as it takes.
+    """
     width, height = display
     for width_bytes in range(_least_bytes(width), 9):
         stated = _number(_DISPLAY_WIDTH, width, width_bytes)
         stated += _number(_DISPLAY_HEIGHT, height, _least_bytes(height))
-        rest = room - len(stated)
+        rest = 0 if room is None else room - len(stated)
         if rest == 0 or _LEAST_VOID <= rest <= _MOST_SHORT:
             return stated
     return None

@@ -169,10 +169,10 @@ class _VideoResult(ResultWriter):
     def finish(self) -> str:
         self._packets.flush()
         with whole_file(self.path) as partial:
-            join_packets(
+            lost = join_packets(
                 partial, self.path.suffix.lower(), self._spool, self._video, self._packets.size
             )
-        return self._note
+        return self._note or lost
 
 
 def _spool_of(unfinished: Unfinished, state: State | None) -> Spool:

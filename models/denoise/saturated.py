@@ -13,7 +13,9 @@ from ...factory.common.array_types import Float32s
 
 _NEAR_WHITE = np.float32(0.98)  # of the largest grey value: codecs change clipped samples a little
 _SIDE_PX = 5  # of a square that must be clipped
-_BRIGHT = 0.02  # a largest grey value below it is darkness, not saturation
+_BRIGHT = 0.02  # from this grey value on the brightest echoes are surely no darkness
+_OF_LARGEST = 0.4
+"""Median of lit pixels, by the largest: more is darkness, whose few levels make flat squares."""
 
 
 def with_saturated(denoised: Float32s, levels: Float32s) -> Float32s:
@@ -22,7 +24,7 @@ def with_saturated(denoised: Float32s, levels: Float32s) -> Float32s:
     An echo counts as saturated where a square of `_SIDE_PX` is as bright as the brightest pixel.
     """
     largest = levels.max()
-    if largest < _BRIGHT:
+    if largest < _BRIGHT and not _has_contrast(levels, largest):
         return denoised
     clipped = levels >= _NEAR_WHITE * largest
     if np.count_nonzero(clipped) < _SIDE_PX * _SIDE_PX:
@@ -32,3 +34,9 @@ def with_saturated(denoised: Float32s, levels: Float32s) -> Float32s:
         clipped.astype(np.uint8), cv2.MORPH_OPEN, square, borderType=cv2.BORDER_REPLICATE
     )
     return np.where(saturated > 0, np.maximum(denoised, levels), denoised)
+
+
+def _has_contrast(levels: Float32s, largest: np.float32) -> bool:
+    """Whether a dark image, such as one of 10 bits in samples of 16, shows more than darkness."""
+    lit = levels[levels > 0]
+    return len(lit) > 0 and float(np.median(lit)) < _OF_LARGEST * float(largest)

@@ -88,6 +88,8 @@ CONTAINERS: dict[str, tuple[str, Codec]] = {
 """Suffix -> FFmpeg's name of the container, and the codec that is written into it."""
 FALLBACK = ".mkv"
 _EQUAL_TIMES = ("matroska",)
+_BY_HEADER = ("matroska", "webm", "avi")
+"""Containers that state the shape of pixels in a header which FFmpeg leaves out."""
 
 
 def target_of(path: Path, video: VideoProperties) -> tuple[Path, str]:
@@ -107,8 +109,8 @@ def target_of(path: Path, video: VideoProperties) -> tuple[Path, str]:
 
 def write_video(
     file: Path, suffix: str, images: Iterable[TimedImage], video: VideoProperties
-) -> None:
-    """Write a video without loss.
+) -> str:
+    """Write a video without loss; returns what the container cannot state, mostly empty.
 
     file: to write, whatever its name.  suffix: of the container, one of `CONTAINERS`.
     Raises OSError when it cannot be written, FrameError where the size of the images changes.
@@ -117,7 +119,7 @@ def write_video(
     container, codec = CONTAINERS[suffix]
     # Without the time of writing and random identifiers: the same images make the same bytes.
     with av.open(str(file), "w", format=container, options=_BIT_EXACT) as output:
-        output.metadata.update(video.texts)
+        output.metadata.update(_texts_for(container, video))
         writer: _StreamWriter | None = None
         for number, timed in enumerate(images):
             if writer is None:
@@ -127,14 +129,31 @@ def write_video(
             writer.write(number, timed)
         if writer is not None:
             writer.finish()
-    if writer is not None:
-        _state_shape(file, container, video, writer.size)
+    return "" if writer is None else _state_shape(file, container, video, writer.size)
 
 
-def _state_shape(file: Path, container: str, video: VideoProperties, size: tuple[int, int]) -> None:
-    """State the shape of pixels where FFmpeg does not.  size: (H, W) of the images."""
-    if container in ("matroska", "webm") and video.pixel_aspect != 1:
-        state_pixel_aspect(file, size, video.pixel_aspect)
+def _texts_for(container: str, video: VideoProperties) -> dict[str, str]:
+    """The texts of a video; AVI has a date for the time at which it was recorded."""
+    texts = dict(video.texts)
+    if container == "avi" and "date" not in texts and "creation_time" in texts:
+        texts["date"] = texts["creation_time"]
+    return texts
+
+
+def _state_shape(file: Path, container: str, video: VideoProperties, size: tuple[int, int]) -> str:
+    """State the shape of pixels where FFmpeg does not; returns a line where there is no room.
+
+    size: (H, W) of the images.
+    """
+    aspect = video.pixel_aspect
+    if aspect == 1 or container not in _BY_HEADER:
+        return ""
+    if state_pixel_aspect(file, container, size, aspect):
+        return ""
+    return (
+        f"the shape of its pixels ({aspect.numerator}:{aspect.denominator}) is lost, {container} "
+        "has no room for it; copy the input into an .mkv file to keep it"
+    )
 
 
 KeepPacket = Callable[[dict[str, Any], memoryview], None]
@@ -207,14 +226,14 @@ def join_packets(
     packets: Iterable[tuple[dict[str, Any], bytes]],
     video: VideoProperties,
     size: tuple[int, int] | None,
-) -> None:
+) -> str:
     """Write a video from the packets of a `VideoPackets`; see `write_video`."""
     av: Any = import_module("av")
     container, codec = CONTAINERS[suffix]
     with av.open(str(file), "w", format=container, options=_BIT_EXACT) as output:
-        output.metadata.update(video.texts)
+        output.metadata.update(_texts_for(container, video))
         if size is None:
-            return
+            return ""
         writer = _StreamWriter(av, output, codec, video, size, output.mux)
         for header, content in packets:
             packet = av.Packet(content)
@@ -223,7 +242,7 @@ def join_packets(
             packet.time_base = Fraction(header["time_base"])
             packet.stream = writer.stream
             output.mux(packet)
-    _state_shape(file, container, video, size)
+    return _state_shape(file, container, video, size)
 
 
 class _StreamWriter:
@@ -271,7 +290,7 @@ class _StreamWriter:
             height, width = timed.image.shape[:2]
             raise FrameError(
                 f"frame {number} has {width} x {height} pixels, the first {self.size[1]} x "
-                f"{self.size[0]}; a video has one size"
+                f"{self.size[0]}; a video has one size, so cut it before frame {number}"
             )
         frame = self._frame(timed.image)
         frame.pts = self._tick(number, timed)

@@ -15,9 +15,9 @@ from ...factory.common.errors import FrameError
 from ...factory.common.files import whole_file, write_atomically
 from ..recordings.animations import Animation
 from ..recordings.arrays import ArrayFile
-from ..recordings.base import FULL_SCALE, Recording, swapped
+from ..recordings.base import FULL_SCALE, PORTABLE_SUFFIXES, Recording, swapped
 from ..recordings.numpy_files import write_array
-from ..recordings.portable_grey import encode_portable_grey
+from ..recordings.portable_maps import encode_portable
 from ..recordings.stacks import StackFile
 from ..recordings.tiff import DESCRIPTION, Tags
 from ..recordings.videos import VideoFile
@@ -73,8 +73,8 @@ def write_frames(path: Path, images: Iterable[TimedImage], source: Recording) ->
     if isinstance(source, VideoFile):
         target, note = target_of(path, source.properties)
         with whole_file(target) as partial:
-            write_video(partial, target.suffix.lower(), images, source.properties)
-        return note
+            lost = write_video(partial, target.suffix.lower(), images, source.properties)
+        return note or lost
     with whole_file(path) as partial:
         if isinstance(source, Animation):
             write_animation(partial, path.suffix.lower(), images, source)
@@ -107,11 +107,12 @@ def _write_pages(partial: Path, images: Iterable[TimedImage], tags: Tags) -> Non
 def write_image(path: Path, image: Array, *, largest: int | None = None) -> None:
     """An image by the suffix of its name.  FrameError when the format does not hold it.
 
-    largest: number of white in a PGM file whose source has its own; None: full scale.
+    largest: number of white in a portable map whose source has its own; None: full scale.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    if largest is not None and image.ndim == 2:
-        write_atomically(path, encode_portable_grey(image, largest), key="--out")
+    is_map = path.suffix.lower() in PORTABLE_SUFFIXES and image.dtype.kind == "u"
+    if is_map and (image.ndim == 2 or image.shape[2] == 3):
+        write_atomically(path, encode_portable(image, largest), key="--out")
         return
     try:
         done, content = cv2.imencode(path.suffix, image, _QUALITY.get(path.suffix.lower(), ()))

@@ -34,6 +34,7 @@ from .matlab_files import list_mat, load_mat
 from .numpy_files import list_npy, list_npz, load_npy, load_npz
 
 _MOST_NAMED = 6
+_COLOUR_COUNTS = (3, 4)
 
 
 class ArrayFile(Recording):
@@ -78,6 +79,11 @@ class ArrayFile(Recording):
             self.warning = (
                 f"{self.path}: is read as {shape[0]} images of {height} x {width}, the first axis "
                 "counts them; if the last one does, save np.moveaxis(x, -1, 0)"
+            )
+        elif len(shape) == 3 and shape[0] in _COLOUR_COUNTS:
+            self.warning = (
+                f"{self.path}: is read as {shape[0]} images of {height} x {width}, one after the "
+                "other; if the first axis counts colours, save np.moveaxis(x, 0, -1)"
             )
 
     @cached_property

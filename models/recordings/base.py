@@ -29,7 +29,11 @@ ANIMATED_SUFFIXES = (".png", ".webp")
 ARRAY_SUFFIX = ".npy"
 HDF5_SUFFIXES = (".h5", ".hdf5")
 ARRAY_SUFFIXES = (ARRAY_SUFFIX, ".npz", ".mat")
-IMAGE_SUFFIXES = (".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX)
+PORTABLE_SUFFIXES = (".pgm", ".ppm", ".pnm")
+IMAGE_SUFFIXES = (
+    *(".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".webp"),
+    *(*PORTABLE_SUFFIXES, ARRAY_SUFFIX),
+)
 FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 

@@ -28,7 +28,7 @@ from .base import (
 )
 from .names import in_order
 from .orientation import EXIF_ORIENTATION, UPRIGHT, Orientation, orientation_of_exif
-from .portable_grey import decode_portable_grey, portable_grey_header
+from .portable_maps import decode_portable, portable_header
 from .tiff import BITS, ORIENTATION, TIFF_HEADS, Directory, directories_of, with_upright_tags
 
 
@@ -78,9 +78,9 @@ def decoded(content: bytes, name: str) -> Array:
 
     name: names it in errors.  Raises FrameError when it cannot be read or is too large.
     """
-    grey_header = portable_grey_header(content)
-    if grey_header is not None:
-        return decode_portable_grey(content, grey_header, name)
+    map_header = portable_header(content)
+    if map_header is not None:
+        return decode_portable(content, map_header, name)
     # Its size first: a small file can decode to gigabytes.
     directory: Directory | None = None
     if content[:4] in TIFF_HEADS:
@@ -91,29 +91,41 @@ def decoded(content: bytes, name: str) -> Array:
             ask_pixels(name, *header.size)
             orientation = _orientation_of(header)
     if directory is not None and directory.is_planar and directory.number(BITS, 8) > 8:
-        return as_samples(orientation.upright(read_planes(BytesIO(content), name)), name)
+        return as_samples(orientation.upright(read_page(BytesIO(content), name)), name)
     # libjpeg and libtiff write to the terminal about damage that they pass over.
     with explained(f"{name}: not a readable image"), quiet_stderr():
         image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None and directory is not None:
+            image = read_page(BytesIO(content), name)
     if image is None:
         raise FrameError(f"{name}: not a readable image")
     pixels: Array = np.asarray(image)
-    if directory is not None and directory.is_white_zero and pixels.dtype.kind == "u":
-        pixels = np.iinfo(pixels.dtype).max - pixels
+    if directory is not None and directory.is_white_zero:
+        pixels = with_white_zero(pixels)
     return as_samples(orientation.upright(pixels), name)
 
 
-def read_planes(file: Path | IO[bytes], name: str, page: int = 0) -> Array:
-    """A page of a TIFF file whose colours lie one behind the other, (H, W, C), blue first.
+def read_page(file: Path | IO[bytes], name: str, page: int = 0) -> Array:
+    """A page of a TIFF file of a kind that OpenCV and Pillow misread, (H, W) or (H, W, C) BGR.
 
-    OpenCV and Pillow take those of 16 bits or more for interleaved ones.  name: names the file in
-    errors.  Raises FrameError.
+    They take colours of 16 bits that lie one behind the other for interleaved ones, and do not
+    know small tiles and floats of 16 bits.  name: names the file in errors.  Raises FrameError.
     """
     import tifffile
 
     with explained(f"{name}: cannot be read", reason=True), tifffile.TiffFile(file) as tiff:
-        planes = np.asarray(tiff.pages[page].asarray())
-        return np.ascontiguousarray(swapped(np.moveaxis(planes, 0, -1)))
+        tiff_page = tiff.pages[page]
+        pixels = np.asarray(tiff_page.asarray())
+        is_planar = pixels.ndim == 3 and tiff_page.axes.startswith("S")
+        if is_planar:
+            pixels = np.moveaxis(pixels, 0, -1)
+        return np.ascontiguousarray(swapped(pixels))
+
+
+def with_white_zero(page: Array) -> Array:
+    """A page in which 0 is white as one in which it is black; floats are in 0..1."""
+    white = np.iinfo(page.dtype).max if page.dtype.kind == "u" else page.dtype.type(1)
+    return np.asarray(white - page, page.dtype)
 
 
 def _tiff_header(content: bytes, name: str) -> tuple[bytes, Directory]:

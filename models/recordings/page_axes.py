@@ -21,14 +21,15 @@ _SECONDS_OF_UNIT = {
     "": 1.0, "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0,
     "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "\u00b5s": 1e-6, "min": 60.0, "h": 3600.0,
 }  # fmt: skip
-_NAMES = {"C": "channel", "Z": "slice"}
+_NAMES = {"C": "channel", "Z": "slice", "I": "image"}
+_PIXELS = re.compile(r"<Pixels\b[^>]*>")
 
 
 @dataclass(frozen=True)
 class PageAxes:
     """The axes along which the pages of a file are counted, the slowest first.
 
-    names: a letter each: T time, C channel, Z slice; others are unknown.  sizes: of each.
+    names: a letter each: T time, C channel, Z slice, I image; others are unknown.  sizes: of each.
     interval_s: between two times; None: unknown.
     """
 
@@ -133,23 +134,35 @@ def _axes_of_json(text: str, page_shape: tuple[int, ...]) -> PageAxes | None:
 
 
 def _axes_of_ome(text: str) -> PageAxes | None:
-    order = re.search(r'DimensionOrder="XY([CZT]{3})"', text)
-    sizes = {axis: re.search(rf'\bSize{axis}="(\d{{1,9}})"', text) for axis in "CZT"}
-    if order is None or not all(sizes.values()) or text.count("<Pixels") > 1:
+    images = [_axes_of_ome_image(element) for element in _PIXELS.findall(text)]
+    if not images or images[0] is None or any(axes != images[0] for axes in images):
+        return None
+    axes = images[0]
+    samples = re.search(r'SamplesPerPixel="(\d)"', text)
+    sizes = axes.sizes
+    if samples is not None and int(samples[1]) > 1:
+        sizes = tuple(1 if name == "C" else n for name, n in zip(axes.names, sizes, strict=True))
+    names = axes.names
+    if len(images) > 1:  # one behind the other
+        names = f"I{names}"
+        sizes = (len(images), *sizes)
+    is_known = 0 < math.prod(sizes) < _MOST_PAGES
+    return PageAxes(names, sizes, axes.interval_s) if is_known else None
+
+
+def _axes_of_ome_image(pixels: str) -> PageAxes | None:
+    """The axes of one image.  pixels: the start of its element."""
+    order = re.search(r'DimensionOrder="XY([CZT]{3})"', pixels)
+    sizes = {axis: re.search(rf'\bSize{axis}="(\d{{1,9}})"', pixels) for axis in "CZT"}
+    if order is None or not all(sizes.values()):
         return None
     names = order[1][::-1]
     counts = tuple(int(match[1]) for name in names if (match := sizes[name]) is not None)
-    samples = re.search(r'SamplesPerPixel="(\d)"', text)
-    if samples is not None and int(samples[1]) > 1:
-        counts = tuple(1 if name == "C" else n for name, n in zip(names, counts, strict=True))
-    interval = re.search(r'TimeIncrement="([\d.eE+-]+)"', text)
-    unit = re.search(r'TimeIncrementUnit="([^"]+)"', text)
+    interval = re.search(r'TimeIncrement="([\d.eE+-]+)"', pixels)
+    unit = re.search(r'TimeIncrementUnit="([^"]+)"', pixels)
     seconds = _number(interval and interval[1])
     seconds *= _SECONDS_OF_UNIT.get(unit[1] if unit else "s", 0.0)
-    is_known = 0 < seconds < _LARGEST_INTERVAL_S
-    if not 0 < math.prod(counts) < _MOST_PAGES:
-        return None
-    return PageAxes(names, counts, seconds if is_known else None)
+    return PageAxes(names, counts, seconds if 0 < seconds < _LARGEST_INTERVAL_S else None)
 
 
 def _count(text: str | None) -> int:

@@ -22,7 +22,7 @@ from .base import (
     swapped,
     untinted,
 )
-from .images import read_planes
+from .images import read_page, with_white_zero
 from .page_axes import PageAxes
 from .tiff import (
     BITS,
@@ -149,24 +149,25 @@ class StackFile(Recording):
         else:
             page = page.reshape(height, width, samples)
         page = page[..., 0] if samples == 1 else page
-        if first.number(PHOTOMETRIC, 1) == WHITE_IS_ZERO and page.dtype.kind == "u":
-            page = np.iinfo(page.dtype).max - page
+        if first.number(PHOTOMETRIC, 1) == WHITE_IS_ZERO and page.dtype.kind in "uf":
+            page = with_white_zero(page)
         # The most significant byte may come first.
         return np.ascontiguousarray(swapped(page))
 
     def _page(self, number: int, name: str) -> Array:
         if self._is_deep and self._first.is_planar:
-            return read_planes(self.path, name, number)
+            return read_page(self.path, name, number)
         if self._image is None:
-            return self._by_opencv(number, name)
+            page = self._by_opencv(number, name)
+            return with_white_zero(page) if self._first.is_white_zero else page
         with explained(f"{name} cannot be read"), quiet_stderr():
             self._image.seek(number)
             is_palette = self._image.mode == "P"
             image = self._image.copy()
             page = np.asarray(image.convert("RGB") if is_palette else image)
         page = np.ascontiguousarray(swapped(page))
-        if self._first.is_white_zero and page.dtype.kind == "u":
-            page = np.iinfo(page.dtype).max - page
+        if self._first.is_white_zero:
+            page = with_white_zero(page)
         return untinted(page) if is_palette else page
 
     def _by_opencv(self, number: int, name: str) -> Array:
@@ -174,7 +175,7 @@ class StackFile(Recording):
         with explained(f"{name} cannot be read"), quiet_stderr():
             path = str(self.path)
             _, pages = cv2.imreadmulti(path, start=number, count=1, flags=cv2.IMREAD_UNCHANGED)
-            return np.asarray(pages[0])
+        return np.asarray(pages[0]) if pages else read_page(self.path, name, number)
 
 
 def _opened(file: IO[bytes]) -> Image.Image | None:

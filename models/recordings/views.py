@@ -18,8 +18,9 @@ from ...factory.common.array_types import Float32s, Floats
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.simulation.sonar.fan import fan_table
-from . import open_recording
+from . import kind_of, open_recording
 from .base import FULL_SCALE, Beams, SonarFrame
+from .device_settings import DeviceSettings, settings_in_name, settings_of
 
 if TYPE_CHECKING:
     from ...factory.simulation.sonar.settings import SonarSettings
@@ -94,12 +95,28 @@ def _edges_rad(beams: Beams) -> tuple[float, float]:
 _opened = lru_cache(maxsize=1)(open_recording)  # the last stays open for its next frame
 
 
+@lru_cache(maxsize=1)
+def _frame_at(path: Path, number: int) -> SonarFrame:
+    """A frame whose image and settings are asked for one after the other."""
+    return _opened(path)[number]
+
+
+def frame_settings(path: Path, number: int) -> DeviceSettings:
+    """The settings that a frame states; of an image file those in its name.
+
+    Raises FactoryError when it cannot be read.
+    """
+    if kind_of(path) == "images":
+        return settings_in_name(path.name)
+    return settings_of(_frame_at(path, number))
+
+
 def frame_image(path: Path, number: int) -> tuple[Float32s, FanGeometry | None]:
     """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where the file has none.
 
     Raises FactoryError when it cannot be read.
     """
-    frame = _opened(path)[number]
+    frame = _frame_at(path, number)
     grey = grey_of(frame)
     if not np.isfinite(grey).all():
         raise FactoryError(f"{path}: frame {number} has NaN or infinite pixels")

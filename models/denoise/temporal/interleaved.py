@@ -136,7 +136,10 @@ class Interleaved:
             named = ", ".join(self._named(kind) for kind in self._kinds[:_MOST_NAMED])
             more = self._kind_count - _MOST_NAMED
             named += f" and {more} more" if more > 0 else ""
-            yield f"kinds of frames: {self._kind_count}, each denoised among its like: {named}"
+            yield (
+                f"kinds of frames: {self._kind_count}, each denoised among its like: {named}; "
+                "if that is wrong, --frames 1 denoises each frame alone"
+            )
 
     def _named(self, kind: Kind) -> str:
         """A kind by what tells it from the others, with its frames."""

@@ -31,7 +31,7 @@ MOST_FRAMES = 31
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
 _CALIBRATION_INTERVAL = 8  # frames between the first two calibrations
 _MAX_INTERVALS = 4  # later calibrations are up to so many intervals apart
-_SAME_GAIN = 0.04
+SAME_GAIN = 0.04
 """Logarithm of the ratio of levels up to which frames are as bright as each other; it is .017 at
 most in the recordings that ship."""
 _FULL_WINDOW = 0.8  # share of the highest frame count from which on a pixel has a whole window
@@ -271,7 +271,7 @@ class InTime:
         levels, visible = laid_over(shot.levels, motion)
         own = self._shots[number].levels
         likeness = gain_between(grey_of(levels) * visible, grey_of(own) * visible)
-        if abs(math.log(likeness.gain)) <= _SAME_GAIN:
+        if abs(math.log(likeness.gain)) <= SAME_GAIN:
             return levels, visible
         if likeness.difference > UNLIKE:
             return None
