@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +16,7 @@ import scipy.io
 import tifffile
 
 from simnfnd.factory.common.array_types import UInt8s
+from simnfnd.factory.common.errors import FrameError
 from simnfnd.models.denoise.video_writer import TimedImage, write_video
 from simnfnd.models.denoise.writers import write_frames
 from simnfnd.models.recordings import open_recording
@@ -26,6 +28,19 @@ from tests.models.denoise.untrained import main
 from tests.models.recordings.fan_images import fan, preset
 from tests.models.recordings.recording_files import pings
 from tests.models.recordings.video_files import encode
+
+VIDEO = VideoProperties(8, True, Fraction(1, 1000), Fraction(8))
+
+
+def copied_with(source: Path, folder: Path, creation_time: str) -> Path:
+    """A video with another video's images, and a time of its own."""
+    target = folder / source.name
+    folder.mkdir(exist_ok=True)
+    with open_recording(source) as recording:
+        images = [TimedImage(frame.samples, frame.time_s) for frame in recording]
+    video = replace(VIDEO, texts={"creation_time": creation_time})
+    write_video(target, source.suffix, images, video)
+    return target
 
 
 def copied(source: Path, folder: Path) -> Path:
@@ -70,19 +85,46 @@ def test_planes_that_tifffile_describes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pages", [1, 3])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("compression", [None, "zlib"])
 def test_white_is_zero(
-    tmp_path: Path, pages: int, dtype: type[np.unsignedinteger[Any]], compression: str | None
+    tmp_path: Path, pages: int, dtype: type[np.number[Any]], compression: str | None
 ) -> None:
-    images = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (pages, 30, 40), dtype)
+    levels = np.random.default_rng(0).random((pages, 30, 40))
+    white = 1 if dtype is np.float32 else np.iinfo(dtype).max  # type: ignore[type-var]
+    images = (levels * white).astype(dtype)
     path = tmp_path / "a.tif"
-    stored = np.iinfo(dtype).max - images
+    stored = (white - images).astype(dtype)
     with tifffile.TiffWriter(path) as writer:
         for page in stored:
             writer.write(page, photometric="miniswhite", compression=compression, metadata=None)
     with open_recording(path) as recording:
+        actual = [frame.samples for frame in recording]
+        np.testing.assert_allclose(actual, images, atol=1e-6)
+
+
+@pytest.mark.parametrize("pages", [1, 3])
+@pytest.mark.parametrize("kind", ["half floats", "small tiles"])
+def test_tiff_that_opencv_does_not_know(tmp_path: Path, pages: int, kind: str) -> None:
+    images: Any = pings(pages, 30, 40)
+    if kind == "half floats":
+        images = (images / 256).astype(np.float16)
+    path = tmp_path / "a.tif"
+    tile = (16, 16) if kind == "small tiles" else None
+    tifffile.imwrite(path, images, tile=tile, photometric="minisblack", metadata=None)
+    with open_recording(path) as recording:
         np.testing.assert_array_equal([frame.samples for frame in recording], images)
+
+
+def test_images_of_one_ome_file_are_sequences(tmp_path: Path) -> None:
+    frames = pings(5, 30, 40)
+    path = tmp_path / "a.ome.tif"
+    with tifffile.TiffWriter(path, ome=True) as writer:
+        for _ in range(2):
+            writer.write(frames, photometric="minisblack", metadata={"axes": "TYX"})
+    with open_recording(path) as recording:
+        sequences = [frame.sequence for frame in recording]
+    assert sequences == ["image 1"] * 5 + ["image 2"] * 5
 
 
 def test_interval_and_scale_of_imagej(tmp_path: Path) -> None:
@@ -163,6 +205,33 @@ def test_pgm_as_text(tmp_path: Path) -> None:
         np.testing.assert_array_equal(recording[0].samples, [[0, 128, 255], [255, 128, 0]])
 
 
+@pytest.mark.usefixtures("halving")
+@pytest.mark.parametrize("kind", [b"P3", b"P6"])
+def test_colours_of_twelve_bits(tmp_path: Path, kind: bytes) -> None:
+    samples = np.random.default_rng(0).integers(0, 4096, (40, 50, 3))
+    content = samples.astype(">u2").tobytes()
+    if kind == b"P3":
+        content = b"# red first\n" + b" ".join(b"%d" % sample for sample in samples.ravel())
+    path = tmp_path / "a.ppm"
+    path.write_bytes(kind + b"\n50 40\n4095\n" + content)
+    with open_recording(path) as recording:
+        np.testing.assert_allclose(
+            recording[0].samples[..., ::-1] / 65535, samples / 4095, atol=1e-4
+        )
+    out = tmp_path / "out"
+    assert main([str(path), "--out", str(out), "--strength", "0", "--geometry", "none"]) == 0
+    header, result = (out / "a.ppm").read_bytes().split(b"\n4095\n", 1)
+    assert header == b"P6\n50 40"
+    np.testing.assert_array_equal(np.frombuffer(result, ">u2"), samples.ravel())
+
+
+def test_a_map_of_several_images_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pgm"
+    path.write_bytes((b"P5\n3 2\n255\n" + bytes(6)) * 2)
+    with open_recording(path) as recording, pytest.raises(FrameError, match=r"a\.pgm"):
+        recording[0]
+
+
 # --- MATLAB ---------------------------------------------------------------------------------------
 
 
@@ -202,14 +271,16 @@ def test_matlab_with_images_first(tmp_path: Path, version: int) -> None:
         assert not recording.warning
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".npy"])
-def test_arrays_of_which_either_end_may_count(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize("kind", ["mat", "last", "colours"])
+def test_arrays_of_which_either_end_may_count(tmp_path: Path, kind: str) -> None:
     """One line says which was taken."""
-    path = tmp_path / f"a{suffix}"
-    if suffix == ".mat":
+    path = tmp_path / ("a.mat" if kind == "mat" else "a.npy")
+    if kind == "mat":
         scipy.io.savemat(path, {"frames": pings(50, 60, 70)})
-    else:
+    elif kind == "last":
         np.save(path, np.moveaxis(pings(20, 60, 50), 0, -1))
+    else:
+        np.save(path, pings(3, 60, 50))
     with open_recording(path) as recording:
         assert "axis" in recording.warning
 
@@ -231,7 +302,7 @@ def texts_of(path: Path) -> tuple[dict[str, str], Fraction]:
         (".mkv", "ffv1", ("creation_time", "title", "comment")),
         (".mp4", "libx264", ("creation_time", "title", "comment")),
         (".mov", "png", ("creation_time", "title", "comment")),
-        (".avi", "ffv1", ("title", "comment")),
+        (".avi", "ffv1", ("title", "comment", "date")),
     ],
 )
 def test_texts_and_pixels_of_videos(
@@ -253,24 +324,41 @@ def test_texts_and_pixels_of_videos(
     metadata, aspect = texts_of(copies[0])
     assert aspect == texts_of(path)[1]
     lower = {name.lower(): text for name, text in metadata.items()}
+    said["date"] = said["creation_time"]  # all that AVI has
+    if suffix == ".avi":
+        copied_texts, _ = texts_of(copied_with(path, tmp_path / "3", said["creation_time"]))
+        lower["date"] = copied_texts["date"]
     assert {name: lower.get(name) for name in texts} == {name: said[name] for name in texts}
     assert copies[0].read_bytes() == copies[1].read_bytes()
 
 
 @pytest.mark.usefixtures("halving")
-def test_pixels_of_matroska(tmp_path: Path) -> None:
-    """FFV1 says nothing of their shape: the container does."""
-    video = VideoProperties(8, True, Fraction(1, 1000), Fraction(8), pixel_aspect=Fraction(12, 11))
-    frames = pings(3, 388, 200)
+@pytest.mark.parametrize("suffix", [".mkv", ".avi", ".webm"])
+def test_pixels_of_videos_whose_codec_says_nothing_of_them(tmp_path: Path, suffix: str) -> None:
+    """The container does."""
+    video = replace(VIDEO, pixel_aspect=Fraction(12, 11))
+    frames = pings(3, 88, 60)
     images = [TimedImage(frame, number / 8) for number, frame in enumerate(frames)]
-    write_video(tmp_path / "a.mkv", ".mkv", images, video)
-    assert texts_of(tmp_path / "a.mkv")[1] == Fraction(12, 11)
-    with open_recording(tmp_path / "a.mkv") as recording:
+    path = tmp_path / f"a{suffix}"
+    assert write_video(path, suffix, images, video) == ""
+    assert texts_of(path)[1] == Fraction(12, 11)
+    with open_recording(path) as recording:
         np.testing.assert_array_equal([frame.samples for frame in recording], frames)
+        assert recording.properties.pixel_aspect == Fraction(12, 11)  # type: ignore[attr-defined]
         assert not recording.warning
+        np.testing.assert_array_equal(recording[2].samples, frames[2])
     out = tmp_path / "out"
-    assert main([str(tmp_path / "a.mkv"), "--out", str(out), "--strength", "0"]) == 0
-    assert texts_of(out / "a.mkv")[1] == Fraction(12, 11)
+    assert main([str(path), "--out", str(out), "--strength", "0", "--geometry", "none"]) == 0
+    assert texts_of(out / path.name)[1] == Fraction(12, 11)
+
+
+def test_a_shape_of_pixels_that_cannot_be_stated_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.avi"
+    images = [TimedImage(pings(1, 40, 60)[0])]
+    write_video(path, ".avi", images, VIDEO)
+    plain = path.read_bytes()
+    assert write_video(path, ".avi", images, replace(VIDEO, pixel_aspect=Fraction(99991, 99989)))
+    assert path.read_bytes() == plain
 
 
 def test_two_frames_at_one_time(tmp_path: Path) -> None:
@@ -290,8 +378,7 @@ def title(shape: tuple[int, ...], number: int) -> UInt8s:
     return np.asarray(image, np.uint8)
 
 
-@pytest.mark.parametrize("kind", ["still", "moving", "black"])
-@pytest.mark.parametrize("count", [1, 12])
+@pytest.mark.parametrize(("kind", "count"), [("still", 1), ("moving", 5), ("black", 12)])
 def test_a_fan_behind_titles_is_found_at_once(kind: str, count: int) -> None:
     image, _ = fan(preset("didson_hf", 220, 400), 0.2, holes=False)
     tracker = FanTracker()
