@@ -29,7 +29,7 @@ from tests.models.recordings.fan_images import fan, preset
 from tests.models.recordings.recording_files import pings
 from tests.models.recordings.video_files import encode
 
-VIDEO = VideoProperties(8, True, Fraction(1, 1000), Fraction(8))
+VIDEO = VideoProperties(8, True, Fraction(1, 8), Fraction(8))
 
 
 def copied_with(source: Path, folder: Path, creation_time: str) -> Path:
