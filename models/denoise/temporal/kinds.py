@@ -20,6 +20,8 @@ from .motion import grey_of
 from .stream import SequenceFrame
 
 _MUCH_CLOSER = 0.5  # times the difference from the frame before
+_CUT = 0.25  # difference of frames that do not show one scene, whatever moves
+_LEAST_BEHIND_CUT = 3  # frames that must be like the first one behind a cut
 _MOST_AHEAD = 8  # frames that are looked at before an unlike one is judged
 _MOST_KINDS = 16
 
@@ -119,7 +121,9 @@ class KindFinder:
         later = [later_look for later_look in later if _is_stated_like(newest, later_look)]
         if any(_returns(later_look, look, newest) for later_look in later):
             return self._new_kind(look)
-        return newest if is_end or len(self._waiting) > _MOST_AHEAD else None
+        if is_end or len(self._waiting) > _MOST_AHEAD:
+            return self._new_kind(look) if _is_cut(look, later, newest) else newest
+        return None
 
     def _new_kind(self, look: _Look) -> Kind:
         if len(self.kinds) >= _MOST_KINDS:
@@ -141,6 +145,17 @@ def _is_stated_like(kind: Kind, look: _Look) -> bool:
     """Whether the settings of a frame, as far as they are stated, are those of a kind."""
     is_same_form = kind.shape == look.shot.levels.shape and kind.gain == look.gain
     return is_same_form and kind.settings.is_like(look.shot.settings)
+
+
+def _is_cut(look: _Look, later: list[_Look], kind: Kind) -> bool:
+    """Whether a frame and those after it show something else, such as pings behind a title.
+
+    What was measured on one of both says nothing of the other.
+    """
+    alike = [other for other in later if difference(other.thumbnail, look.thumbnail) < _CUT]
+    return len(alike) >= _LEAST_BEHIND_CUT and all(
+        difference(frame.thumbnail, kind.thumbnail) > _CUT for frame in (look, *alike)
+    )
 
 
 def _returns(later: _Look, look: _Look, kind: Kind) -> bool:

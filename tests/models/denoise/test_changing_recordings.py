@@ -98,6 +98,17 @@ def test_frames_that_take_turns_untold_equal_those_of_each_alone() -> None:
     assert f"like frame 0 ({COUNT * repeats} frames" in said
 
 
+def test_a_title_with_noise_teaches_nothing_of_the_pings_behind_it() -> None:
+    title = np.full((SIDE, SIDE), 0.1, np.float32)
+    title[40:60, 10:50] = 0.6
+    rng = np.random.default_rng(0)
+    titles = title + rng.normal(0, 0.01, (5, SIDE, SIDE)).astype(np.float32)
+    pings = static(1)
+    result, said = denoised(np.concatenate([titles.clip(0, 1), pings]))
+    np.testing.assert_array_equal(result[5:], denoised(pings)[0])
+    assert "like frame 5" in said
+
+
 def test_a_frame_of_something_else_leaves_the_others_as_they_are() -> None:
     frames = static(1)
     glitch = np.insert(frames, 5, 0.9, axis=0)
