@@ -47,7 +47,7 @@ def _times(frames: int, count: int) -> tuple[float, float, float]:
     cpu_s = wall_s = slowest_s = 0.0
     counted = 0
     with Denoiser(frames=frames, device="cpu") as stream:
-        for number, frame in enumerate(_recording(count)):
+        for number, frame in enumerate(recording(count)):
             cpu = time.process_time()
             wall = time.perf_counter()
             stream(frame)
@@ -60,7 +60,7 @@ def _times(frames: int, count: int) -> tuple[float, float, float]:
     return cpu_s / counted, wall_s / counted, slowest_s
 
 
-def _recording(count: int) -> Iterator[np.ndarray]:
+def recording(count: int) -> Iterator[np.ndarray]:
     """Frames of the example, from the first on again when they end."""
     video = cv2.VideoCapture(str(LAMPREY))
     for _ in range(count):

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from .factory.common.errors import FactoryError
 
 _WITH_VALUE = re.compile(r"^--([a-z]+) (\S+?):")
-_OPTION = re.compile(r"--([a-z]+)\b")
+_OPTION = re.compile(r"--([a-z]+)\b(?: (auto|cpu|gpu|none|polar|[A-Z]{2,}))?\b")
 
 
 def python_words(message: str) -> str:
@@ -17,8 +17,14 @@ def python_words(message: str) -> str:
     parts = message.split("`")
     parts[0] = _WITH_VALUE.sub(r"\1=\2:", parts[0])
     return "`".join(
-        part if number % 2 else _OPTION.sub(r"\1=", part) for number, part in enumerate(parts)
+        part if number % 2 else _OPTION.sub(_parameter, part) for number, part in enumerate(parts)
     )
+
+
+def _parameter(option: re.Match[str]) -> str:
+    """An option as a parameter; a value in lower case is a text, one in capitals a placeholder."""
+    value = option[2] or ""
+    return f'{option[1]}="{value}"' if value.islower() else f"{option[1]}={value}"
 
 
 @contextmanager

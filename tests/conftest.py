@@ -44,7 +44,9 @@ def compile_loops() -> None:
     from simnfnd.factory.simulation.pairs.compilation import FIELD, IMAGE_LOOPS, LOOPS, SCENE_LOOPS
 
     root = Path(__file__).resolve().parents[1]
-    paths = [root / f"{name.removeprefix('simnfnd.').replace('.', '/')}.py" for name in LOOPS]
+    in_time = "simnfnd.models.denoise.temporal.kernels"
+    every = (*LOOPS, in_time)
+    paths = [root / f"{name.removeprefix('simnfnd.').replace('.', '/')}.py" for name in every]
     if all(
         any(
             compiled.stat().st_mtime > path.stat().st_mtime
@@ -55,7 +57,7 @@ def compile_loops() -> None:
         return
     processes = [
         subprocess.Popen([sys.executable, "-c", "\n".join(f"import {name}" for name in names)])
-        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (FIELD,))
+        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (FIELD, in_time))
     ]
     for process in processes:
         process.wait()

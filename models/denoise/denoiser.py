@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -40,6 +41,14 @@ _RAMP = 0.02  # of the correlation: from nothing to the whole change of the smal
 _LEAST_SIDE = 96  # of an image that may still be halved, pixels
 
 
+class _GeometryMaps(NamedTuple):
+    """The maps of a geometry in an image of a shape, (H, W)."""
+
+    geometry: FanGeometry
+    shape: tuple[int, int]
+    maps: Maps
+
+
 class Denoiser:
     """Trained weights as a function of an image.
 
@@ -60,6 +69,7 @@ class Denoiser:
         self.runtime = open_runtime(path, device)
         self.name = path.name if path.stem == "weights" else path.stem
         self.digest = sha256_of(path)
+        self._last_maps: _GeometryMaps | None = None
         self.knows_frames = "frames" in self.runtime.extras
 
     def __call__(
@@ -84,7 +94,7 @@ class Denoiser:
         widest = self.runtime.wide_grain
         maps: dict[str, Float32s] = {}
         if presentation.geometry is not None and extras:
-            known_maps = presentation.geometry.maps(0, 0, *grey.shape)
+            known_maps = self._maps_of(presentation.geometry, *grey.shape)
             maps = {name: known_maps[name] for name in extras if name in known_maps}
         if frames is not None and self.knows_frames:
             frame_counts = np.broadcast_to(np.asarray(frames, np.float32), shape)
@@ -102,6 +112,14 @@ class Denoiser:
         if bright:
             denoised = np.where(outside, grey, denoised)
         return presentation.undone(denoised)
+
+    def _maps_of(self, geometry: FanGeometry, height: int, width: int) -> Maps:
+        """The maps of a geometry, the same arrays for every frame of a recording."""
+        last = self._last_maps
+        if last is None or last.shape != (height, width) or last.geometry != geometry:
+            last = _GeometryMaps(geometry, (height, width), geometry.maps(0, 0, height, width))
+            self._last_maps = last
+        return last.maps
 
     def _denoise_whole(self, grey: Float32s, maps: Maps) -> Float32s:
         tiles: list[tuple[float, int]] = []

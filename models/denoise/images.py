@@ -443,7 +443,10 @@ def levels_of(image: Array) -> Float32s:
 def restored(levels: Float32s, image: Array) -> Array:
     """The reverse of `levels_of`, with the dtype, shape and alpha of an image."""
     full = FULL_SCALE[str(image.dtype)]
-    values = np.rint(levels.astype(np.float64) * full) if full > 1 else levels
+    values = levels
+    if full > 1:
+        values = np.multiply(levels, full, dtype=np.float64)
+        np.rint(values, out=values)
     result = image.copy()
     colours = _colours(result)
     colours[...] = values if values.ndim == image.ndim else values[..., None]

@@ -162,6 +162,7 @@ class OnnxNetwork:
         self.average_cells = bool(model.get("average_cells", False))
         self.is_polar = bool(model["polar"])
         self._mask = bool(model["mask"])
+        self._last_geometry: GeometryInputs | None = None
         self._inputs = tuple(node.name for node in self._session.get_inputs())
 
     def run(self, grey: Float32s, maps: Maps) -> tuple[Float32s, float]:
@@ -171,12 +172,13 @@ class OnnxNetwork:
         """
         grid = polar_grid(maps) if self.is_polar and "azimuth_rad" in maps else None
         if grid is None:
-            inputs = inputs_of(grey, maps, self._stride)
+            inputs = inputs_of(grey, maps, self._stride, self._geometry_of(grey.shape, maps))
         else:
             sector = sampled(maps.get("sector", np.ones_like(grey)), grid.cells_in_fan)
             cells = {**grid.cells, "sector": sector}
             cell_values = sampled(grey, grid.cells_in_fan)
-            inputs = inputs_of(cell_values, cells, self._stride, is_grid=True)
+            geometry = GeometryInputs.of(cell_values.shape, cells, self._stride, is_grid=True)
+            inputs = inputs_of(cell_values, cells, self._stride, geometry)
 
         changes, shadow_logits, weight = self._session.run(
             ["change", "shadow_logits", "weight"], {name: inputs[name] for name in self._inputs}
@@ -194,36 +196,78 @@ class OnnxNetwork:
             image = np.where(maps["sector"] > 0, image, grey)
         return np.asarray(image, np.float32), float(weight[0])
 
+    def _geometry_of(self, shape: tuple[int, int], maps: Maps) -> GeometryInputs:
+        """The inputs of the geometry; those of the last image where it has the same maps."""
+        last = self._last_geometry
+        if last is None or not last.is_of(shape, maps):
+            last = GeometryInputs.of(shape, maps, self._stride)
+            self._last_geometry = last
+        return last
 
-def inputs_of(grey: Float32s, maps: Maps, stride: int, *, is_grid: bool = False) -> dict[str, Any]:
+
+class GeometryInputs(NamedTuple):
+    """What a graph gets of the geometry of an image; see `inputs_of`.
+
+    shape: (H, W) of the image.  sources: the maps that the inputs were made from.
+    """
+
+    shape: tuple[int, int]
+    sources: tuple[Float32s | None, ...]
+    maps: Float32s
+    beams: Int64s
+    arcs: Int64s
+
+    def is_of(self, shape: tuple[int, int], maps: Maps) -> bool:
+        """Whether they belong to these very arrays."""
+        is_same = [
+            maps.get(name) is plane for name, plane in zip(GEOMETRY, self.sources, strict=True)
+        ]
+        return self.shape == shape and all(is_same)
+
+    @classmethod
+    def of(
+        cls, shape: tuple[int, int], maps: Maps, stride: int, *, is_grid: bool = False
+    ) -> GeometryInputs:
+        """is_grid: whether columns are beams and rows ranges, evenly."""
+        rows, columns = (-(-side // stride) * stride // 2 for side in shape)
+        # Columns count as beams and rows as arcs where nothing else is known.
+        arcs, beams = np.indices((rows, columns))
+        nothing = np.zeros(shape, np.float32)
+        planes = nothing, nothing, nothing - 1  # values that no known geometry has
+        if "azimuth_rad" in maps:
+            sector = maps.get("sector", np.ones(shape, np.float32))
+            radius = maps["range_fraction"]
+            azimuth = maps["azimuth_rad"]
+            planes = 2 * radius - 1, azimuth, 1 - sector
+            if not is_grid:
+                inside = _cells(sector, stride) > 0
+                beams = _line_numbers(_cells(azimuth, stride), inside, columns)
+                arcs = _line_numbers(_cells(radius, stride), inside, rows)
+        stacked = np.stack(planes)[None].astype(np.float32)
+        sources = tuple(maps.get(name) for name in GEOMETRY)
+        return cls(shape, sources, stacked, beams.reshape(1, -1), arcs.reshape(1, -1))
+
+
+def inputs_of(
+    grey: Float32s, maps: Maps, stride: int, geometry: GeometryInputs | None = None
+) -> dict[str, Any]:
     """Return the inputs of a graph of `--to runtime` for an image, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
     all of the image, `frames` (log2 of how many were averaged) where these are several.
-    is_grid: whether columns are beams and rows ranges, evenly.
+    geometry: what `GeometryInputs.of` makes of the maps, where it is known already.
     Returns `noisy` and `frames` (1, 1, H, W), `maps` (1, 3, H, W), `beams` and `arcs` (1, cells)
     int64, the line of each cell at half resolution, and `remove` (1, 6).
     """
-    rows, columns = (-(-side // stride) * stride // 2 for side in grey.shape)
-    # Columns count as beams and rows as arcs where nothing else is known.
-    arcs, beams = np.indices((rows, columns))
-    nothing = np.zeros_like(grey)
-    planes = nothing, nothing, nothing - 1  # values that no known geometry has
-    if "azimuth_rad" in maps:
-        sector = maps.get("sector", np.ones_like(grey))
-        radius = maps["range_fraction"]
-        azimuth = maps["azimuth_rad"]
-        planes = 2 * radius - 1, azimuth, 1 - sector
-        if not is_grid:
-            inside = _cells(sector, stride) > 0
-            beams = _line_numbers(_cells(azimuth, stride), inside, columns)
-            arcs = _line_numbers(_cells(radius, stride), inside, rows)
+    if geometry is None:
+        geometry = GeometryInputs.of(grey.shape, maps, stride)
+    frames = maps["frames"] if "frames" in maps else np.zeros_like(grey)
     return {
         "noisy": np.ascontiguousarray(grey, np.float32)[None, None],
-        "maps": np.stack(planes)[None].astype(np.float32),
-        "beams": beams.reshape(1, -1),
-        "arcs": arcs.reshape(1, -1),
-        "frames": np.ascontiguousarray(maps.get("frames", nothing), np.float32)[None, None],
+        "maps": geometry.maps,
+        "beams": geometry.beams,
+        "arcs": geometry.arcs,
+        "frames": np.ascontiguousarray(frames, np.float32)[None, None],
         "remove": vector(DEFAULT)[None],
     }
 

@@ -23,6 +23,7 @@ from ...factory.common.files import check_writable, sha256_of, write_atomically
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
 from ..networks import DEFAULT, GEOMETRY, vector
+from ..networks.folded import RowLines
 from ..networks.line_context import MapLines
 from ..networks.network import Network, padded
 from ..networks.sonarnet import SonarNet
@@ -137,7 +138,8 @@ class RuntimeGraph(Graph):
         is_cell_inside = inside[..., ::2, ::2] > 0
         shape = is_cell_inside.shape[-2], is_cell_inside.shape[-1]
         cell_weights = is_cell_inside.to(noisy.dtype).flatten(2)
-        lines = MapLines(named["beams"], named["arcs"], cell_weights, shape)
+        lines_type = RowLines if self.network.folds else MapLines
+        lines = lines_type(named["beams"], named["arcs"], cell_weights, shape)
         remove = named.get("remove", torch.from_numpy(vector(DEFAULT))[None])
         planes = torch.split(maps, 1, dim=1)
         return tuple(self.network.core(remove, named.get("frames"), lines, noisy, *planes))
@@ -272,6 +274,9 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
 def _export_trace(graph: Graph, fold: bool) -> bytes:
     """Trace the graph on an example and export it.  fold: whether constants are folded."""
     content = io.BytesIO()
+    if isinstance(graph.network, SonarNet):
+        # What onnxruntime computes is compared with the layers of training.
+        graph.network.folds = True
     inputs = tuple(graph.example(*_TRACED_SIZE).values())
     with warnings.catch_warnings(), torch.no_grad():
         # It warns of every branch that it fixes; `compared` shows whether one was wrong.
@@ -290,6 +295,8 @@ def _export_trace(graph: Graph, fold: bool) -> bytes:
             output_names=list(graph.outputs),
             dynamic_axes=graph.axes,
         )
+    if isinstance(graph.network, SonarNet):
+        graph.network.folds = False
     return content.getvalue()
 
 

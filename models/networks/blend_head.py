@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from .blocks import zeroed
+from .folded import unshuffled_part_conv
 from .network import padded
 
 _FIRST_WEIGHT = 3.0  # logit of the weight before anything is learned: 95 % of the change
@@ -38,11 +39,19 @@ class BlendHead(nn.Module):
         self.logit = zeroed(nn.Linear(width, 1))
         nn.init.constant_(self.logit.bias, _FIRST_WEIGHT)
 
-    def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
+    def forward(
+        self,
+        features: Tensor,
+        noisy: Tensor,
+        change: Tensor,
+        sector: Tensor,
+        *,
+        folds: bool = False,
+    ) -> Tensor:
         """(N, F, h, w) at half resolution, three times (N, 1, H, W) -> (N,) weight, 0 to 1.
 
         h and w may be half the size of the images after padding.
-        sector: 1 where insonified, else 0.
+        sector: 1 where insonified, else 0.  folds: see `SonarNet.folds`.
         """
         features = features.detach()
         noisy = noisy.detach()
@@ -51,8 +60,11 @@ class BlendHead(nn.Module):
         padding = (0, width - noisy.shape[-1], 0, height - noisy.shape[-2])
         logarithm = torch.log10(noisy.clamp_min(0) + _DARK) + _CENTRE
         planes = functional.pad(torch.cat([noisy, change, logarithm], dim=1), padding)
-        planes = functional.pixel_unshuffle(planes, 2)
-        x = functional.relu(self.near(torch.cat([features, planes], dim=1)))
+        if folds:
+            x = functional.relu(unshuffled_part_conv(self.near, features, planes))
+        else:
+            planes = functional.pixel_unshuffle(planes, 2)
+            x = functional.relu(self.near(torch.cat([features, planes], dim=1)))
         x = functional.relu(self.far(x))
         inside = functional.avg_pool2d(padded(functional.pad(sector, padding), 4), 4)
         weight = torch.sigmoid(self.weight(x)).float() * inside

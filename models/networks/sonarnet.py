@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, NamedTuple, cast
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
 import torch
 from pydantic import Field
@@ -35,6 +35,7 @@ from . import DEFAULT, GEOMETRY, vector
 from .blend_head import BlendHead
 from .blocks import residual_blocks, zeroed
 from .even_level import CELL_PX, evening_gain
+from .folded import scaled_and_shifted, unshuffled_conv
 from .line_context import GridLines, LineContext, Lines, MapLines
 from .network import Network, NetworkOutput, Step, down_and_up, padded
 from .polar_grid import FanSampling, polar_grid, sampled
@@ -103,6 +104,8 @@ class SonarNet(Network):
         self.average_cells = settings.average_cells
         # Whether known geometries are those of fans; None: seen from the maps.
         self.fan: bool | None = None
+        # Whether layers are computed as is fastest in an exported graph; see `folded`.
+        self.folds = False
         widths = settings.widths
         blocks = settings.blocks
         self.core_stride = 2 ** len(widths)
@@ -232,7 +235,11 @@ class SonarNet(Network):
             for _ in self.settings.widths:
                 level = functional.avg_pool2d(level, 2)
                 levels.append(level)
-        x = self.intro(functional.pixel_unshuffle(torch.cat(inputs, dim=1), 2))
+        stacked = torch.cat(inputs, dim=1)
+        if self.folds:
+            x = unshuffled_conv(self.intro, stacked)
+        else:
+            x = self.intro(functional.pixel_unshuffle(stacked, 2))
         if self.lines is not None:
             x = self.lines(x, lines)
         *encoders, middle = self._conditioned(remove, levels)
@@ -243,7 +250,7 @@ class SonarNet(Network):
         logits = heads[:, 1:]
         sector = _sector(planes[-1])
         denoised = self.gated(noisy + change, logits)
-        weight = self.blend(x, noisy, denoised - noisy, sector)
+        weight = self.blend(x, noisy, denoised - noisy, sector, folds=self.folds)
         if gain is not None:
             change = change / gain[..., :height, :width]
         return CoreOutput(change, logits, weight)
@@ -258,6 +265,11 @@ class SonarNet(Network):
         if self.settings.told:
             condition = self.told(remove)
             films = [film(condition)[:, :, None, None] for film in self.films]
+        if levels and self.folds and not films:
+            return [
+                _after_level(film, level, step)
+                for film, level, step in zip(cast(Any, self.frames), levels, steps, strict=True)
+            ]
         if levels:
             more = [film(level) for film, level in zip(self.frames, levels, strict=True)]
             films = [a + b for a, b in zip(films, more, strict=True)] if films else more
@@ -274,6 +286,11 @@ def _after(film: Tensor, blocks: Step) -> Step:
     """The blocks on features that were scaled and shifted before."""
     scale, shift = film.chunk(2, dim=1)
     return lambda x: blocks(torch.addcmul(shift.to(x.dtype), x, (1 + scale).to(x.dtype)))
+
+
+def _after_level(film: nn.Conv2d, level: Tensor, blocks: Step) -> Step:
+    """The same for features that the number of frames alone scales and shifts."""
+    return lambda x: blocks(scaled_and_shifted(film, level, x))
 
 
 def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:

@@ -62,11 +62,6 @@ def gain_of(grey: Array, before: float) -> float:
     return float(min(2.0 ** np.floor(np.log2(_WANTED / bright)), _MOST_GAIN))
 
 
-def gain_between(grey: Array, other_thumbnail: Array) -> Likeness:
-    """How unlike two images of one scene, (H, W) in 0..1, are in brightness and besides."""
-    return likeness_of(thumbnail_of(grey), thumbnail_of(other_thumbnail))
-
-
 def likeness_of(thumbnail: Array, other_thumbnail: Array) -> Likeness:
     """How unlike two thumbnails are in brightness and besides."""
     lit = np.minimum(thumbnail, other_thumbnail) > _DARK
@@ -76,9 +71,13 @@ def likeness_of(thumbnail: Array, other_thumbnail: Array) -> Likeness:
     return Likeness(gain, difference(thumbnail * np.float32(gain), other_thumbnail))
 
 
-def thumbnail_of(grey: Array) -> Array:
-    """Means of the parts of an image, (H, W)."""
-    height, width = (min(_THUMBNAIL_PX, max(side // _PART_PX, 1)) for side in grey.shape)
+def thumbnail_of(grey: Array, full_shape: tuple[int, ...] | None = None) -> Array:
+    """Means of the parts of an image, (H, W).
+
+    full_shape: of the image that it was reduced from; None: of none.
+    """
+    sides = full_shape or grey.shape
+    height, width = (min(_THUMBNAIL_PX, max(side // _PART_PX, 1)) for side in sides[:2])
     return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 

@@ -14,7 +14,7 @@ What noise explains is measured in the recording itself, by grey level (`NoiseBy
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -23,7 +23,7 @@ import numpy as np
 from ....factory.common.array_types import Array, Bools
 from .motion import blurred, factors, grey_of, reduced
 from .noise_level import NoiseByLevel, RunningSpread
-from .tracking import MAX_OFFSET, Tracks, find_tracks, mean_along
+from .tracking import MAX_OFFSET, Tracks, find_tracks
 
 _LEARNING_FRAMES = 30
 _LEARNING_INTERVAL = 8
@@ -122,6 +122,8 @@ class Fusion:
 
     def __call__(self, frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
         """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""
+        from . import kernels  # loads numba
+
         grey = grey_of(frame)
         if not neighbours:
             ones = np.ones(grey.shape, np.float32)
@@ -133,18 +135,19 @@ class Fusion:
             self._measure_noise(grey, neighbours[index])
             noise_sample = _NoiseSample(index, small.median * visible[index])
 
-        # Differences of the neighbours, then of the frame itself.
-        from_median = [plane - small.median for plane in (*small.neighbours, small.frame)]
-        agreement = self._median_agreement.compute(from_median, small.median, noise_sample)
+        # Of the neighbours, then of the frame itself.
+        planes = [*small.neighbours, small.frame]
+        agreement = self._median_agreement.compute(planes, small.median, noise_sample)
         agrees_with_median = agreement[:-1]
         static = agreement[-1]
-        from_frame = [plane - small.frame for plane in small.neighbours]
-        agrees_with_frame = self._frame_agreement.compute(from_frame, small.frame, noise_sample)
+        agrees_with_frame = self._frame_agreement.compute(
+            small.neighbours, small.frame, noise_sample
+        )
 
         # Where the frame shows an object, a neighbour that agrees with the median shows the scene,
         # even if noise alone could explain its difference from the frame.
         weights = [
-            _smooth(with_median * static + with_frame * (1 - with_median) * (1 - static))
+            _smooth(kernels.neighbour_weight(with_median, with_frame, static))
             for with_median, with_frame in zip(agrees_with_median, agrees_with_frame, strict=True)
         ]
         image, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, weights)
@@ -153,7 +156,7 @@ class Fusion:
         trackable = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
         if len(trackable) + 1 < _MIN_TRACKED_FRAMES:
             return fused
-        targets = self._find_targets(small, from_median, neighbours)
+        targets = self._find_targets(small, neighbours)
         if not targets.gate.any():
             return fused
         return _with_targets(fused, frame, neighbours, agrees_with_median, targets)
@@ -186,16 +189,14 @@ class Fusion:
         difference = (grey_of(neighbour.levels) - grey) * np.float32(np.sqrt(0.5))
         self.noise.add(difference, grey * neighbour.visible)
 
-    def _find_targets(
-        self, small: _Reduced, from_median: Sequence[Array], neighbours: Sequence[Neighbour]
-    ) -> _Targets:
+    def _find_targets(self, small: _Reduced, neighbours: Sequence[Neighbour]) -> _Targets:
         """Find the objects that move along paths through the window."""
         lit = small.median > _DARK
         sigma = self._median_agreement.noise.at(small.median)
         offsets = [*(neighbour.offset for neighbour in neighbours), 0]
         deviations = {
-            offset: difference / sigma * lit
-            for offset, difference in zip(offsets, from_median, strict=True)
+            offset: (plane - small.median) / sigma * lit
+            for offset, plane in zip(offsets, (*small.neighbours, small.frame), strict=True)
         }
         faint = {offset: _faint(deviation) for offset, deviation in deviations.items()}
         tracks = find_tracks({offset: deviations[offset] * faint[offset] for offset in offsets})
@@ -218,32 +219,29 @@ class _Agreement:
         self._wide_noise = NoiseByLevel()
 
     def compute(
-        self, differences: Sequence[Array], grey: Array, noise_sample: _NoiseSample | None
+        self, planes: Sequence[Array], grey: Array, noise_sample: _NoiseSample | None
     ) -> list[Array]:
-        """1 up to the limit in both windows, then falling to 0; (h, w) for each difference.
+        """1 up to the limit in both windows, then falling to 0; (h, w) for each plane.
 
-        differences: (h, w) each, from planes of grey values `grey`.
-        noise_sample: the difference that noise is measured on; None: on none.
+        planes: (h, w) each, that are compared with the plane `grey`.
+        noise_sample: the plane that noise is measured on; None: on none.
         """
+        from . import kernels  # loads numba
+
         if noise_sample is not None:
-            self.noise.add(differences[noise_sample.neighbour], noise_sample.grey)
+            self.noise.add(planes[noise_sample.neighbour] - grey, noise_sample.grey)
         sigma = self.noise.at(grey)
-        small = [difference / sigma for difference in differences]
-        wide = [
-            cv2.blur(
-                np.clip(deviation, -_MAX_DEVIATION, _MAX_DEVIATION), (_WIDE_SIDE_PX, _WIDE_SIDE_PX)
-            )
-            for deviation in small
-        ]
+        most = np.float32(_MAX_DEVIATION)
+        both = [kernels.deviations(plane, grey, sigma, most) for plane in planes]
+        wide = [cv2.blur(clipped, (_WIDE_SIDE_PX, _WIDE_SIDE_PX)) for _, clipped in both]
         if noise_sample is not None:
             self._wide_noise.add(wide[noise_sample.neighbour], noise_sample.grey)
         wide_sigma = self._wide_noise.at(grey)
-        agreement = []
-        for small_deviation, wide_mean in zip(small, wide, strict=True):
-            deviation = np.maximum(np.abs(small_deviation), np.abs(wide_mean / wide_sigma))
-            excess = np.maximum(deviation - self._limit, 0)
-            agreement.append(cv2.exp(-excess * excess))
-        return agreement
+        exponents = [
+            kernels.excess_exponent(deviation, wide_mean, wide_sigma, self._limit)
+            for (deviation, _), wide_mean in zip(both, wide, strict=True)
+        ]
+        return [cv2.exp(exponent) for exponent in exponents]
 
 
 def median(planes: Sequence[Array]) -> Array:
@@ -286,18 +284,29 @@ def _weighted_mean(
 
     frame_weight: (H, W).  weights: (h, w) reduced, of each neighbour.
     """
-    shape = frame_weight.shape
-    total = frame * _like(frame_weight, frame)
+    if frame.ndim == 3:
+        means = []
+        for channel in range(frame.shape[2]):
+            of_channel = [
+                replace(neighbour, levels=_channel(neighbour.levels, channel))
+                for neighbour in neighbours
+            ]
+            mean, frame_count = _weighted_mean(
+                _channel(frame, channel), frame_weight, of_channel, weights
+            )
+            means.append(mean)
+        return np.stack(means, axis=-1), frame_count
+
+    from . import kernels  # loads numba
+
+    total = frame * frame_weight
     count = frame_weight.copy()
     squares = frame_weight * frame_weight
     for neighbour, weight in zip(neighbours, weights, strict=True):
-        part = _enlarge(weight, shape) * neighbour.visible
-        total += neighbour.levels * _like(part, frame)
-        count += part
-        squares += part * part
-    count = np.maximum(count, np.float32(1e-3))
-    mean = total / _like(count, frame)
-    return mean, count * count / np.maximum(squares, np.float32(1e-6))
+        part = _enlarge(weight, frame.shape)
+        kernels.add_weighted(total, count, squares, neighbour.levels, part, neighbour.visible)
+    mean, frame_count = kernels.mean_and_count(total, count, squares)
+    return mean, frame_count
 
 
 def _with_targets(
@@ -315,7 +324,7 @@ def _with_targets(
     scene, scene_count = _weighted_mean(frame, fused.static_share, neighbours, weights)
     # Where too few frames show the scene there is none to add a target to.
     gate = _enlarge(targets.gate, frame.shape) * (scene_count > 1)
-    target = _mean_target(frame, scene, neighbours, targets)
+    target = _mean_target(frame, scene, gate, neighbours, targets)
     image = fused.image + _like(gate, fused.image) * (scene + target - fused.image)
     return FusedFrame(np.clip(image, 0, 1), fused.frame_count, fused.static_share * (1 - gate))
 
@@ -337,21 +346,46 @@ def _faint(deviation: Array) -> Array:
 
 
 def _mean_target(
-    frame: Array, scene: Array, neighbours: Sequence[Neighbour], targets: _Targets
+    frame: Array, scene: Array, gate: Array, neighbours: Sequence[Neighbour], targets: _Targets
 ) -> Array:
-    """Mean deviation from the scene along the path through each pixel, as the scene in shape."""
-    shape = frame.shape[:2]
-    down, right = factors(shape)
-    # Not interpolated: the mean of two velocities is the path of no target.
-    velocity_px = _enlarge(targets.tracks.velocity_px, shape, cv2.INTER_NEAREST)
-    velocity_px = velocity_px * np.array([right, down], np.float32)
-    deviations = {0: frame - scene}
-    for neighbour in neighbours:
-        if abs(neighbour.offset) <= MAX_OFFSET:
-            faint = _enlarge(targets.faint[neighbour.offset], shape, cv2.INTER_NEAREST)
-            weight = _like(neighbour.visible * faint, frame)
-            deviations[neighbour.offset] = (neighbour.levels - scene) * weight
-    return mean_along(deviations, velocity_px)
+    """Mean deviation from the scene along the path through each pixel, as the scene in shape.
+
+    gate: (H, W); where it is 0 nothing is computed, and the result is of no use.
+    """
+    if frame.ndim == 3:
+        planes = []
+        for channel in range(frame.shape[2]):
+            of_channel = [
+                replace(neighbour, levels=_channel(neighbour.levels, channel))
+                for neighbour in neighbours
+            ]
+            of_frame = _channel(frame, channel), _channel(scene, channel)
+            planes.append(_mean_target(*of_frame, gate, of_channel, targets))
+        return np.stack(planes, axis=-1)
+
+    from . import kernels  # loads numba
+
+    total = frame - scene
+    near = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
+    for neighbour in near:
+        # Not interpolated: the mean of two velocities is the path of no target.
+        kernels.add_along_paths(
+            total,
+            gate,
+            neighbour.levels,
+            scene,
+            neighbour.visible,
+            targets.faint[neighbour.offset],
+            targets.tracks.velocity_px,
+            neighbour.offset,
+            *factors(frame.shape),
+        )
+    return total / np.float32(len(near) + 1)
+
+
+def _channel(levels: Array, index: int) -> Array:
+    """(H, W), one channel of a frame in colour."""
+    return np.ascontiguousarray(levels[..., index])
 
 
 def _enlarge(plane: Array, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR) -> Array:

@@ -9,11 +9,10 @@ sonars are at rest, and laying a frame over another between its pixels costs sha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -26,6 +25,7 @@ _BY_CHANCE = 4.0  # standard deviations of the correlation of unlike frames, the
 _FURTHEST = 48  # reduced pixels that the peak of a phase correlation may lie away
 _BETTER = 0.08  # part of what no motion leaves that a motion must explain
 _STEPS = 4  # of Gauss and Newton, at most
+_STEPS_BETWEEN = 2  # from a start by way of frames between, which is near
 _SETTLED = 0.02  # largest change of a step that ends them
 _STILL = 0.06  # reduced pixels: less is no motion
 _WHITENED = 0.6  # exponent of the magnitudes in the phase correlation
@@ -36,6 +36,7 @@ _BLOCK_USUAL = 0.35  # reduced pixels: standard deviation expected of a block
 _AFFINE_USUAL = 0.7  # and of the edges of a frame against its middle
 _GRAIN = 8.0  # neighbouring pixels that noise shares
 _LEAST_HALVED = 192
+_SAMPLED = 7  # every such pixel tells the spread of a residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +59,18 @@ class Motion:
         return Motion(back, None if self.flow is None else -self.flow)
 
 
+class _Residual(NamedTuple):
+    """What a motion leaves of the difference of two frames.
+
+    plane: (h, w), clipped where objects move.  noise: its power.  projected: (6,) its products with
+    the changes of the frame by the numbers of a motion.
+    """
+
+    plane: Array
+    noise: float
+    projected: Float64s
+
+
 class AlignmentView:
     """What alignment keeps of a frame: reduced, its noise made equal, coarse levels taken away.
 
@@ -76,10 +89,11 @@ class AlignmentView:
         around = cv2.blur(small * self.lit, (21, 21)) / share
         self.band: Array = (blurred(small, 1.0) - around) * self.lit
         self.shape: tuple[int, int] = self.band.shape
+        self.sampled = self.lit.ravel()[::_SAMPLED] > 0
 
     def __getstate__(self) -> dict[str, Any]:
         """What is computed of the rest when it is needed is not kept."""
-        computed = ("slopes", "steepest", "spectrum")
+        computed = ("slopes", "hessian", "block_powers", "spectrum")
         return {name: value for name, value in self.__dict__.items() if name not in computed}
 
     @cached_property
@@ -90,18 +104,17 @@ class AlignmentView:
         return along * self.lit, down * self.lit
 
     @cached_property
-    def steepest(self) -> tuple[Array, Float64s]:
-        """Change of each pixel with each number of a motion, (6, pixels), and its Hessian."""
+    def hessian(self) -> Float64s:
+        """(6, 6) products of the changes of the band with the numbers of a motion."""
+        from . import kernels  # loads numba
+
+        return np.asarray(kernels.hessian(*self.slopes))
+
+    @cached_property
+    def block_powers(self) -> tuple[Array, Array, Array]:
+        """Sums of the products of the slopes over blocks: x by x, y by y, x by y."""
         along, down = self.slopes
-        height, width = self.shape
-        y, x = (axis.astype(np.float32) for axis in np.ogrid[:height, :width])
-        half = np.float32(width / 2)
-        x = (x - (width - 1) / 2) / half
-        y = (y - (height - 1) / 2) / half
-        planes = [along, down, along * x, along * y, down * x, down * y]
-        change = np.stack(planes).reshape(6, -1)
-        # Not by BLAS, whose threads wait actively after such small products.
-        return change, np.einsum("ik,jk->ij", change, change).astype(np.float64)
+        return _block_sums(along * along), _block_sums(down * down), _block_sums(along * down)
 
     @cached_property
     def spectrum(self) -> Array:
@@ -153,7 +166,10 @@ class Aligner:
         neighbour_view = self._views.get(neighbour)
         if view is None or neighbour_view is None or view.full_shape != neighbour_view.full_shape:
             return None
-        affine, correlation = _affine_motion(view, neighbour_view, self._starts(number, neighbour))
+        starts = self._starts(number, neighbour)
+        # By way of a frame between, it is the only one.
+        steps = _STEPS_BETWEEN if len(starts) == 1 else _STEPS
+        affine, correlation = _affine_motion(view, neighbour_view, starts, steps)
         pixels = max(float(view.lit.sum()), 1.0)
         if correlation < ALIKE + _BY_CHANCE / np.sqrt(pixels / _GRAIN):
             return None
@@ -249,7 +265,7 @@ def factors(shape: tuple[int, ...]) -> tuple[int, int]:
 
 
 def _affine_motion(
-    view: AlignmentView, neighbour_view: AlignmentView, starts: Sequence[Float64s]
+    view: AlignmentView, neighbour_view: AlignmentView, starts: Sequence[Float64s], steps: int
 ) -> tuple[Float64s, float]:
     """The simplest affine motion that explains the frame, and the correlation that it leaves."""
     none = np.zeros(6)
@@ -262,7 +278,7 @@ def _affine_motion(
             if correlation > best + 0.01:
                 start = candidate
                 best = correlation
-    fine = _refined(view, neighbour_view, start)
+    fine = _refined(view, neighbour_view, start, steps)
     if not start.any() and np.abs(fine).max() < _STILL:
         return none, still
     down, right = factors(view.full_shape)
@@ -279,14 +295,16 @@ def _affine_motion(
     return chosen, best
 
 
-def _refined(view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s) -> Float64s:
-    change, hessian = view.steepest
-    for _ in range(_STEPS):
-        residual, noise = _residual(view, neighbour_view, affine)
+def _refined(
+    view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s, steps: int
+) -> Float64s:
+    hessian = view.hessian
+    for _ in range(steps):
+        _, noise, projected = _residual(view, neighbour_view, affine)
         # Frames without any slope have no Hessian.
         least = (1e-6 * np.trace(hessian) + 1e-9) * np.eye(6)
         usual = np.diag([0, 0, *[noise / _AFFINE_USUAL**2] * 4]) + least
-        slope = np.einsum("ik,k->i", change, residual.ravel()) + usual @ affine
+        slope = projected + usual @ affine
         step = np.linalg.solve(hessian + usual, slope)
         affine = affine - step
         if np.abs(step).max() < _SETTLED:
@@ -299,23 +317,13 @@ def _block_flow(
 ) -> Array | None:
     """What blocks move besides, where that is beyond doubt; (rows, columns, 2)."""
     along, down = view.slopes
-    residual, noise = _residual(view, neighbour_view, affine)
-    height, width = view.shape
-    columns = max(width // _CELL, 1)
-    rows = max(height // _CELL, 1)
-    area = height * width / (rows * columns)
-
-    def sums(plane: Array) -> Array:
-        """Over blocks of three cells, one a cell."""
-        cells = cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA)
-        return cv2.blur(cells, (3, 3), borderType=cv2.BORDER_REFLECT) * np.float32(9 * area)
-
+    residual, noise, _ = _residual(view, neighbour_view, affine)
     usual = np.float32(noise / _BLOCK_USUAL**2)
-    xx = sums(along * along) + usual
-    yy = sums(down * down) + usual
-    xy = sums(along * down)
-    x = sums(along * residual)
-    y = sums(down * residual)
+    xx, yy, xy = view.block_powers
+    xx = xx + usual
+    yy = yy + usual
+    x = _block_sums(along * residual)
+    y = _block_sums(down * residual)
     determinant: Array = xx * yy - xy * xy
     right = -(yy * x - xy * y) / determinant
     lower = -(xx * y - xy * x) / determinant
@@ -326,30 +334,33 @@ def _block_flow(
     return flow if np.hypot(flow[..., 0], flow[..., 1]).max() > 0.15 else None
 
 
-def _residual(
-    view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s
-) -> tuple[Array, float]:
-    """The difference that a motion leaves, clipped where objects move, and its noise power."""
-    residual = (_warp(neighbour_view.band, affine) - view.band) * view.lit
-    lit = view.lit.ravel()[::7] > 0
-    usual = np.median(np.abs(residual.ravel()[::7][lit])) if lit.any() else 0.0
-    sigma = max(1.4826 * float(usual), 1e-4)
-    return np.clip(residual, -2.5 * sigma, 2.5 * sigma), _GRAIN * sigma * sigma
+def _block_sums(plane: Array) -> Array:
+    """Sums over blocks of three cells, one a cell."""
+    height, width = plane.shape
+    columns = max(width // _CELL, 1)
+    rows = max(height // _CELL, 1)
+    area = height * width / (rows * columns)
+    cells = cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA)
+    return cv2.blur(cells, (3, 3), borderType=cv2.BORDER_REFLECT) * np.float32(9 * area)
+
+
+def _residual(view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s) -> _Residual:
+    from . import kernels  # loads numba
+
+    plane = (_warp(neighbour_view.band, affine) - view.band) * view.lit
+    magnitudes = np.abs(plane.ravel()[::_SAMPLED][view.sampled])
+    middle = len(magnitudes) // 2
+    usual = float(np.partition(magnitudes, middle)[middle]) if len(magnitudes) else 0.0
+    sigma = max(1.4826 * usual, 1e-4)
+    projected = kernels.clip_and_project(plane, *view.slopes, np.float32(2.5 * sigma))
+    return _Residual(plane, _GRAIN * sigma * sigma, projected)
 
 
 def _correlation(band: Array, neighbour_band: Array) -> float:
     """Where both show something; -1 where that is too little."""
-    both = ((band != 0) & (neighbour_band != 0)).astype(np.float32)
-    if float(both.sum()) < 0.25 * max(np.count_nonzero(band), 1):
-        return -1.0
-    first = band * both
-    second = neighbour_band * both
-    power = _dot(first, first) * _dot(second, second)
-    return _dot(first, second) / max(math.sqrt(power), 1e-12)
+    from . import kernels  # loads numba
 
-
-def _dot(first: Array, second: Array) -> float:
-    return float(np.einsum("ij,ij->", first, second))
+    return float(kernels.correlation(band, neighbour_band))
 
 
 def _phase_shift(view: AlignmentView, neighbour_view: AlignmentView) -> Float64s:

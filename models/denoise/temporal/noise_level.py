@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
-import cv2
 import numpy as np
 
 from ....factory.common.array_types import Array, Float64s
@@ -24,29 +21,31 @@ class NoiseByLevel:
     def __init__(self) -> None:
         self._weighted_sigma = np.zeros(_LEVELS)
         self._pixels = np.zeros(_LEVELS)
+        self._table: Array | None = None
 
     def add(self, deviation: Array, grey: Array) -> None:
         """Measure deviations, (h, w), at pixels of grey values in 0..1, (h, w)."""
-        sampled_grey = grey[::_STRIDE, ::_STRIDE]
-        root = np.sqrt(np.clip(sampled_grey, 0, 1))
-        level = np.minimum(root * _LEVELS, _LEVELS - 1).astype(np.int32).ravel()
-        magnitude = np.abs(deviation[::_STRIDE, ::_STRIDE]).ravel()
-        order = np.argsort(level, kind="stable")
-        magnitude = magnitude[order]
-        ends = np.searchsorted(level[order], np.arange(_LEVELS + 1))
-        for number, (first, last) in enumerate(itertools.pairwise(ends)):
-            count = last - first
-            if count < _MIN_PIXELS:
-                continue
-            sigma = _NORMAL * float(np.median(magnitude[first:last]))
-            self._weighted_sigma[number] += sigma * count
-            self._pixels[number] += count
+        from . import kernels  # loads numba
+
+        medians, counts = kernels.medians_by_level(deviation, grey, _LEVELS, _STRIDE, _MIN_PIXELS)
+        self._weighted_sigma += _NORMAL * medians * counts
+        self._pixels += counts
+        self._table = None
 
     def at(self, grey: Array) -> Array:
-        """Standard deviation, (h, w) float32, at pixels of grey values in 0..1, (h, w)."""
+        """Standard deviation, float32, at grey values in 0..1, (h, w) or (h, w, channels)."""
+        from . import kernels  # loads numba
+
+        if self._table is None:
+            self._table = self._levels_table()
+        flat = grey.reshape(len(grey), -1)
+        return np.asarray(kernels.by_root_level(flat, self._table).reshape(grey.shape))
+
+    def _levels_table(self) -> Array:
+        """Standard deviation at 256 grey values, even in their root."""
         known = self._pixels > 0
         if not known.any():
-            return np.full(grey.shape, _MIN_SIGMA, np.float32)
+            return np.full(256, _MIN_SIGMA, np.float32)
         middles = (np.arange(_LEVELS) + 0.5) / _LEVELS
         sigma = np.interp(
             middles, middles[known], self._weighted_sigma[known] / self._pixels[known]
@@ -55,9 +54,7 @@ class NoiseByLevel:
         power: Float64s = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), _KERNEL, "valid")
         power = power / np.convolve(np.pad(pixels, 2, mode="edge"), _KERNEL, "valid")
         fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
-        table = np.maximum(fine, _MIN_SIGMA).astype(np.float32)
-        root = np.sqrt(np.clip(grey, 0, 1))
-        return cv2.LUT((root * 255).astype(np.uint8), table)
+        return np.maximum(fine, _MIN_SIGMA).astype(np.float32)
 
 
 class RunningSpread:

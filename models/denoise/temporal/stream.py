@@ -14,15 +14,16 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
+import cv2
 import numpy as np
 
 from ....factory.common.array_types import Array, Bools
 from ....factory.dataset.fan_geometry import FanGeometry
 from ...recordings.device_settings import DeviceSettings
 from ..saturated import with_saturated
-from .brightness import UNLIKE, gain_between
+from .brightness import UNLIKE, Likeness, likeness_of, thumbnail_of
 from .fusion import FusedFrame, Fusion, Neighbour
-from .motion import Aligner, grey_of, laid_over
+from .motion import Aligner, grey_of, laid_over, reduced
 from .strength import Predictors, Strength, Weights
 
 FRAMES = 7
@@ -134,6 +135,7 @@ class InTime:
 
         # All by frame number.
         self._shots: dict[int, SequenceFrame] = {}
+        self._reduced: dict[int, Array] = {}
         self._geometries: dict[int, FanGeometry | None] = {}
         self._fused_early: dict[int, _FusedFrame] = {}
         self._newest = -1
@@ -153,6 +155,8 @@ class InTime:
     def push(self, shot: SequenceFrame) -> Iterator[tuple[Any, Array]]:
         """Take the next frame; yields the key and the levels of each that is denoised by now."""
         self._newest += 1
+        if not shot.levels.flags.c_contiguous:
+            shot = replace(shot, levels=np.ascontiguousarray(shot.levels))
         self._shots[self._newest] = shot
         if self.window > 1:
             self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
@@ -168,7 +172,7 @@ class InTime:
     def __getstate__(self) -> dict[str, Any]:
         """All that a stream in another process needs to go on, but for `attach`."""
         assert not self._pending, "settle first"
-        return {**self.__dict__, "_network": None, "_pool": None}
+        return {**self.__dict__, "_network": None, "_pool": None, "_reduced": {}}
 
     def attach(self, network: Network | None, at_once: int) -> None:
         """Give an unpickled stream its network and threads."""
@@ -233,12 +237,12 @@ class InTime:
 
     def _count(self, fused: FusedFrame) -> None:
         """Add a frame to the tally."""
-        lit = grey_of(fused.image) > _DARK
+        lit = (grey_of(fused.image) > _DARK).astype(np.uint8)
         if not lit.any():
             lit = np.ones_like(lit)
         self._tally["images"] += 1
-        self._tally["frames"] += float(fused.frame_count[lit].mean())
-        self._tally["moved"] += 1 - float(fused.static_share[lit].mean())
+        self._tally["frames"] += cv2.mean(fused.frame_count, lit)[0]
+        self._tally["moved"] += 1 - cv2.mean(fused.static_share, lit)[0]
         self._tally["alone"] += bool(fused.frame_count.max() <= 1)
 
     def _fuse(self, number: int) -> _FusedFrame:
@@ -269,14 +273,36 @@ class InTime:
         if motion is None:
             return None
         levels, visible = laid_over(shot.levels, motion)
-        own = self._shots[number].levels
-        likeness = gain_between(grey_of(levels) * visible, grey_of(own) * visible)
+        likeness = self._likeness(number, neighbour, levels, visible)
         if abs(math.log(likeness.gain)) <= SAME_GAIN:
             return levels, visible
         if likeness.difference > UNLIKE:
             return None
         # The gain of the sonar or the exposure of a screen changed between both.
         return np.minimum(levels * np.float32(likeness.gain), np.float32(1)), visible
+
+    def _likeness(self, number: int, neighbour: int, levels: Array, visible: Array) -> Likeness:
+        """How unlike another frame, as it is seen from a frame, is to that frame."""
+        shape = levels.shape
+        if levels is self._shots[neighbour].levels:
+            own = self._small(number)
+            return likeness_of(
+                thumbnail_of(self._small(neighbour), shape), thumbnail_of(own, shape)
+            )
+        small_visible = reduced(visible)
+        return likeness_of(
+            thumbnail_of(reduced(grey_of(levels)) * small_visible, shape),
+            thumbnail_of(self._small(number) * small_visible, shape),
+        )
+
+    def _small(self, number: int) -> Array:
+        """A frame that is in memory, grey and reduced."""
+        if number not in self._reduced:
+            self._reduced = {
+                other: plane for other, plane in self._reduced.items() if other in self._shots
+            }
+            self._reduced[number] = reduced(grey_of(self._shots[number].levels))
+        return self._reduced[number]
 
     def _geometry(self, number: int) -> FanGeometry | None:
         """The geometry of a frame: that of the nearest known one if it shows the same scene."""

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from ....factory.common.array_types import Array, Bools, Float64s, UInt8s
-from .motion import blurred, length_of
+from .motion import blurred
 
 _TV_WEIGHT = 0.9
 _TV_STEPS = 5
@@ -47,12 +47,12 @@ class Predictors:
     """What an image may be like without its noise.
 
     grey: (H, W) the image itself.
-    changes: (H, W) each, of total variation, network and blurred images, relative to `grey`.
+    changes: (n, H, W) of total variation, network and blurred images, relative to `grey`.
     variation: (H, W) uint8, level of how much the image varies around a pixel.
     """
 
     grey: Array
-    changes: list[Array]
+    changes: Array
     variation: UInt8s
 
     @classmethod
@@ -60,7 +60,8 @@ class Predictors:
         """Predictors of an image, (H, W), whose noise has standard deviation `sigma`, (H, W)."""
         blurs = [blurred(grey, sigma_px) for sigma_px in _BLUR_SIGMAS_PX]
         images = [total_variation(grey, sigma), network_output, *blurs]
-        changes = [image - grey for image in images]
+        changes = np.stack(images)
+        changes -= grey
 
         mean_square = blurred(grey * grey, _VARIATION_SIGMA_PX)
         spread = mean_square - blurred(grey, _VARIATION_SIGMA_PX) ** 2
@@ -85,23 +86,28 @@ class Weights:
 
     def apply(self, predictors: Predictors, frame_count: Array) -> Array:
         """The prediction, (H, W) in 0..1.  frame_count: (H, W), frames averaged at each pixel."""
+        from . import kernels  # loads numba
+
         log_window = np.float32(np.log(max(self.window_frames, 2)))
         window_share = np.clip(cv2.log(frame_count) / log_window, 0, 1)
 
-        levels = np.minimum(np.arange(256), _VARIATION_LEVELS - 1)
-        variation = levels * _VARIATION_CLASSES[-1] / _VARIATION_LEVELS
-        window_change = np.zeros_like(predictors.grey)
-        for coefficients, change in zip(self.window.T, predictors.changes, strict=True):
-            table = np.interp(variation, _VARIATION_CLASSES, coefficients).astype(np.float32)
-            window_change += cv2.LUT(predictors.variation, table) * change
-
-        single_change = np.zeros_like(predictors.grey)
-        for part, change in zip(self.single, predictors.changes[:2], strict=True):
-            if part:
-                single_change += np.float32(part) * change
-
-        change = single_change + window_share * (window_change - single_change)
-        return np.asarray(np.clip(predictors.grey + change, 0, 1))
+        variation = np.arange(_VARIATION_LEVELS) * _VARIATION_CLASSES[-1] / _VARIATION_LEVELS
+        tables = np.array(
+            [np.interp(variation, _VARIATION_CLASSES, values) for values in self.window.T],
+            np.float32,
+        )
+        single = np.zeros(len(tables), np.float32)
+        single[: len(self.single)] = self.single
+        return np.asarray(
+            kernels.weighted_changes(
+                predictors.grey,
+                predictors.changes,
+                predictors.variation,
+                window_share,
+                tables,
+                single,
+            )
+        )
 
 
 class StrengthParts(NamedTuple):
@@ -212,31 +218,20 @@ def total_variation(grey: Array, sigma: Array) -> Array:
     grey: (H, W).  sigma: (H, W) standard deviation of its noise.
     Fast gradient projection of the dual (Beck and Teboulle 2009), isotropic.
     """
+    from . import kernels  # loads numba
+
     weight = np.maximum(np.float32(_TV_WEIGHT) * sigma, np.float32(1e-4))
-    step = np.float32(0.125) / weight
-    across, down = np.zeros((2, *grey.shape), np.float32)
-    previous_across = across
-    previous_down = down
+    image = np.empty_like(weight)
+    across, down, previous_across, previous_down = np.zeros((4, *grey.shape), np.float32)
     momentum = 1.0
     for _ in range(_TV_STEPS):
-        image = _less_divergence(grey, across, down, weight)
-        new_across = across.copy()
-        new_across[:, :-1] += (image[:, 1:] - image[:, :-1]) * step[:, :-1]
-        new_down = down.copy()
-        new_down[:-1] += (image[1:] - image[:-1]) * step[:-1]
-
-        length = np.maximum(length_of(new_across, new_down), 1)
-        new_across /= length
-        new_down /= length
-
+        kernels.less_divergence(image, grey, across, down, weight)
         next_momentum = (1 + np.sqrt(1 + 4 * momentum * momentum)) / 2
         push = np.float32((momentum - 1) / next_momentum)
-        across = new_across + push * (new_across - previous_across)
-        down = new_down + push * (new_down - previous_down)
-        previous_across = new_across
-        previous_down = new_down
+        kernels.step_dual(across, down, previous_across, previous_down, image, weight, push)
         momentum = next_momentum
-    return _less_divergence(grey, previous_across, previous_down, weight)
+    kernels.less_divergence(image, grey, previous_across, previous_down, weight)
+    return image
 
 
 def _target(predictors: Predictors, outside: Array, same: Bools) -> Float64s:
@@ -246,16 +241,6 @@ def _target(predictors: Predictors, outside: Array, same: Bools) -> Float64s:
     return target
 
 
-def _changes(planes: list[Array], same: Bools) -> Float64s:
+def _changes(planes: Array, same: Bools) -> Float64s:
     """(predictors, pixels): the values of each plane where both frames show the same."""
-    return np.stack([plane[same].astype(np.float64) for plane in planes])
-
-
-def _less_divergence(grey: Array, across: Array, down: Array, weight: Array) -> Array:
-    """The image and the divergence of the dual, times the weight."""
-    divergence: Array = across + down
-    divergence[:, 1:] -= across[:, :-1]
-    divergence[1:] -= down[:-1]
-    divergence *= weight
-    divergence += grey
-    return divergence
+    return np.stack([plane[same] for plane in planes]).astype(np.float64)

@@ -11,9 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -51,21 +49,18 @@ def find_tracks(deviations: Mapping[int, Array]) -> Tracks:
     deviations: frame offset -> (h, w) float32, deviation from the scene in standard deviations of
     the noise.  Offset 0 is the frame itself; offsets beyond `MAX_OFFSET` are left out.
     """
+    from . import kernels  # loads numba
+
     near = {offset: plane for offset, plane in deviations.items() if abs(offset) <= MAX_OFFSET}
     packed = {offset: _pack(plane) for offset, plane in near.items()}
     own = packed.pop(0)
-    largest = np.full(own.shape, np.iinfo(np.int16).min, np.int16)
-    smallest = np.full(own.shape, np.iinfo(np.int16).max, np.int16)
-    total = np.empty_like(own)
     velocities = candidate_velocities()
-    for index, velocity in enumerate(velocities):
-        np.add(own, np.int16(index), out=total)
-        for offset, plane in packed.items():
-            right, down = np.rint(velocity * offset).astype(int)
-            inside, shifted = _overlap(own.shape, int(right), int(down))
-            np.add(total[inside], plane[shifted], out=total[inside])
-        np.maximum(largest, total, out=largest)
-        np.minimum(smallest, total, out=smallest)
+    # Rows and columns from a pixel to where its path is in each plane.
+    offsets = np.array([0, *packed])
+    steps = np.rint(offsets[None, :, None] * velocities[:, None, ::-1]).astype(np.int64)
+    largest, smallest = kernels.best_sums(
+        np.stack([own, *packed.values()]), np.ascontiguousarray(steps)
+    )
     is_bright = largest >= -smallest.astype(np.int32)
     best = np.where(is_bright, largest, smallest)
     deviation_sum = (best >> _INDEX_BITS) / np.float32(_LEVELS_PER_DEVIATION)
@@ -73,28 +68,8 @@ def find_tracks(deviations: Mapping[int, Array]) -> Tracks:
     return Tracks(
         mean=deviation_sum / np.float32(len(near)),
         score=deviation_sum / np.float32(np.sqrt(len(near))),
-        velocity_px=velocities[best_index].astype(np.float32),
+        velocity_px=np.take(velocities.astype(np.float32), best_index, axis=0),
     )
-
-
-def mean_along(planes: Mapping[int, Array], velocity_px: Array) -> Array:
-    """Mean of planes along the path through each pixel, (H, W) or (H, W, C) float32.
-
-    planes: frame offset -> (H, W) or (H, W, C).  velocity_px: (H, W, 2), right and down, pixels
-    per frame.
-    """
-    height, width = velocity_px.shape[:2]
-    column = np.arange(width, dtype=np.float32)[None, :]
-    row = np.arange(height, dtype=np.float32)[:, None]
-    total: Array = np.zeros_like(next(iter(planes.values())))
-    for offset, plane in planes.items():
-        if offset == 0:
-            total += plane
-            continue
-        columns = column + np.float32(offset) * velocity_px[..., 0]
-        rows = row + np.float32(offset) * velocity_px[..., 1]
-        total += cv2.remap(plane, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return total / np.float32(len(planes))
 
 
 @cache
@@ -111,17 +86,3 @@ def _pack(deviation: Array) -> npt.NDArray[np.int16]:
     clipped = np.clip(deviation, -_MAX_DEVIATION, _MAX_DEVIATION)
     levels = np.rint(clipped * _LEVELS_PER_DEVIATION).astype(np.int16)
     return np.asarray(levels << _INDEX_BITS, np.int16)
-
-
-def _overlap(shape: tuple[int, ...], right: int, down: int) -> tuple[Any, Any]:
-    """Slices of the pixels whose shifted position lies inside too, and of these positions."""
-    height, width = shape
-    inside = np.s_[
-        max(0, -down) : height - max(0, down),
-        max(0, -right) : width - max(0, right),
-    ]
-    shifted = np.s_[
-        max(0, down) : height - max(0, -down),
-        max(0, right) : width - max(0, -right),
-    ]
-    return inside, shifted
