@@ -26,7 +26,7 @@ from .images import LabelledImage, WorkingImage, canvas_shape, scale_image
 from .network import DIVISOR, STRIDE, DetectorNetwork, Outputs
 from .weights import TrainedDetector, load_detector
 
-_SIDES_PX = (112, 160, 224)
+_SIDES_PX = (80, 160, 288)
 """Longer sides at which an image is looked at: objects come in more sizes than a dataset has."""
 _MOST = 40  # detections in an image
 _LEAST_SCORE = 0.01
