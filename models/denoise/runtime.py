@@ -196,7 +196,7 @@ class OnnxNetwork:
             image = np.where(maps["sector"] > 0, image, grey)
         return np.asarray(image, np.float32), float(weight[0])
 
-    def _geometry_of(self, shape: tuple[int, int], maps: Maps) -> GeometryInputs:
+    def _geometry_of(self, shape: tuple[int, ...], maps: Maps) -> GeometryInputs:
         """The inputs of the geometry; those of the last image where it has the same maps."""
         last = self._last_geometry
         if last is None or not last.is_of(shape, maps):
@@ -211,13 +211,13 @@ class GeometryInputs(NamedTuple):
     shape: (H, W) of the image.  sources: the maps that the inputs were made from.
     """
 
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
     sources: tuple[Float32s | None, ...]
     maps: Float32s
     beams: Int64s
     arcs: Int64s
 
-    def is_of(self, shape: tuple[int, int], maps: Maps) -> bool:
+    def is_of(self, shape: tuple[int, ...], maps: Maps) -> bool:
         """Whether they belong to these very arrays."""
         is_same = [
             maps.get(name) is plane for name, plane in zip(GEOMETRY, self.sources, strict=True)
@@ -226,7 +226,7 @@ class GeometryInputs(NamedTuple):
 
     @classmethod
     def of(
-        cls, shape: tuple[int, int], maps: Maps, stride: int, *, is_grid: bool = False
+        cls, shape: tuple[int, ...], maps: Maps, stride: int, *, is_grid: bool = False
     ) -> GeometryInputs:
         """is_grid: whether columns are beams and rows ranges, evenly."""
         rows, columns = (-(-side // stride) * stride // 2 for side in shape)

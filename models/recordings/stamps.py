@@ -59,12 +59,12 @@ class Stamp(NamedTuple):
 class _Place(NamedTuple):
     """Numbers that may be a stamp.
 
-    count: how many.  readings: of them.  is_clock: whether they tell the time of day alone.
+    number_count: how many.  readings: of them.  is_clock: whether they tell the time of day alone.
     is_date: whether they tell the day alone.
     """
 
-    count: int
-    readings: list[Reading]
+    number_count: int
+    readings: Sequence[Reading]
     is_clock: bool = False
     is_date: bool = False
 
@@ -80,15 +80,15 @@ def find_stamp(
     widths = [{len(digits) for digits in column} for column in zip(*rows, strict=True)]
     for first in range(len(widths)):
         for place in _places(marks, widths, first):
-            fields = range(first, first + place.count)
+            fields = range(first, first + place.number_count)
             # The fraction of a second may be all that varies.
-            fraction = [] if place.is_date else [first + place.count]
+            fraction = [] if place.is_date else [first + place.number_count]
             if not any(field in varying for field in (*fields, *fraction)):
                 continue
-            seconds = _likeliest(place, [row[first : first + place.count] for row in rows])
+            seconds = _likeliest(place, [row[first : first + place.number_count] for row in rows])
             if seconds is not None:
                 seconds = over_midnight(seconds) if place.is_clock else seconds
-                return Stamp(first, first + place.count - 1, seconds, place.is_date)
+                return Stamp(first, first + place.number_count - 1, seconds, place.is_date)
     return _stamp_over_midnight(rows, widths, varying)
 
 
@@ -111,13 +111,13 @@ def _places(marks: Sequence[str], widths: Sequence[set[int]], first: int) -> Ite
     if not others and width in _DATES_WITH_CLOCK:
         formats = _DATES_WITH_CLOCK[width]
         yield _Place(1, [partial(_seconds_of_date, *date_format) for date_format in formats])
-    for date, formats in _DATES.items():
+    for date, date_formats in _DATES.items():
         for clock in _CLOCKS:
             if _has_widths(widths, first, (*date, *clock)):
                 count = len(date) + len(clock)
                 date_digits = sum(date)
                 yield _Place(
-                    count, [partial(_seconds_of_date, text, date_digits) for text in formats]
+                    count, [partial(_seconds_of_date, text, date_digits) for text in date_formats]
                 )
     is_separated = all(mark in _CLOCK_MARKS for mark in marks[first + 1 : first + 3])
     if _has_widths(widths, first, (2, 2, 2)) and is_separated:

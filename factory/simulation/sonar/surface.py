@@ -103,7 +103,8 @@ def vertical_weight(elevation_rad: Float32s, sonar: SonarSettings) -> Float32s:
     """(N,) two-way intensity that the vertical beam passes from (N,) elevations, 0 to 1."""
     table = vertical_table(sonar)
     step = (np.sin(elevation_rad) + 1) / 2 * (len(table) - 1)
-    return table[np.rint(step).astype(np.intp)]
+    weight: Float32s = table[np.rint(step).astype(np.intp)]
+    return weight
 
 
 def labelled_half_angle_rad(sonar: SonarSettings) -> float:

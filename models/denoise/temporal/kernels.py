@@ -6,6 +6,8 @@ unless a line says otherwise; reduced planes are (h, w), those of frames (H, W).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ....factory.common.array_types import Array, Float32s, Float64s, Int64s, UInt8s
@@ -20,7 +22,7 @@ _EIGHTH = np.float32(0.125)
 
 @compiled(f"Tuple(({_RESULT}, {_RESULT}))({_PLANE}, {_PLANE}, {_PLANE}, float32)")
 def deviations(
-    plane: Float32s, reference: Float32s, sigma: Float32s, most: float
+    plane: Float32s, reference: Float32s, sigma: Float32s, most: np.float32
 ) -> tuple[Float32s, Float32s]:
     """Difference of two planes in standard deviations, and the same clipped at `most`."""
     height, width = plane.shape
@@ -36,7 +38,7 @@ def deviations(
 
 @compiled(f"{_RESULT}({_PLANE}, {_PLANE}, {_PLANE}, float32)")
 def excess_exponent(
-    deviation: Float32s, wide_mean: Float32s, wide_sigma: Float32s, limit: float
+    deviation: Float32s, wide_mean: Array, wide_sigma: Float32s, limit: np.float32
 ) -> Float32s:
     """Minus the square of what a deviation in either window is above the limit."""
     height, width = deviation.shape
@@ -65,9 +67,9 @@ def neighbour_weight(with_median: Float32s, with_frame: Float32s, static: Float3
 
 @compiled(f"void({_RESULT}, {_RESULT}, {_RESULT}, {_PLANE}, {_PLANE}, {_PLANE})")
 def add_weighted(
-    total: Float32s,
+    total: Array,
     count: Float32s,
-    squares: Float32s,
+    squares: Array,
     levels: Float32s,
     weight: Float32s,
     visible: Float32s,
@@ -83,9 +85,7 @@ def add_weighted(
 
 
 @compiled(f"Tuple(({_RESULT}, {_RESULT}))({_PLANE}, {_PLANE}, {_PLANE})")
-def mean_and_count(
-    total: Float32s, count: Float32s, squares: Float32s
-) -> tuple[Float32s, Float32s]:
+def mean_and_count(total: Array, count: Float32s, squares: Array) -> tuple[Float32s, Float32s]:
     """Weighted mean, and the effective number of frames in it, of the sums of `add_weighted`."""
     height, width = total.shape
     mean = np.empty((height, width), np.float32)
@@ -248,7 +248,7 @@ def step_dual(
     previous_down: Float32s,
     image: Float32s,
     weight: Float32s,
-    push: float,
+    push: np.float32,
 ) -> None:
     """A step of fast gradient projection; see `strength.total_variation`.
 
@@ -341,8 +341,8 @@ def correlation(band: Float32s, other: Float32s) -> float:
     shown = 0
     for row in range(height):
         for column in range(width):
-            value = np.float64(band[row, column])
-            other_value = np.float64(other[row, column])
+            value = float(band[row, column])
+            other_value = float(other[row, column])
             shown += value != 0
             if value != 0 and other_value != 0:
                 both += 1
@@ -351,11 +351,13 @@ def correlation(band: Float32s, other: Float32s) -> float:
                 product += value * other_value
     if both < 0.25 * max(shown, 1):
         return -1.0
-    return product / max(np.sqrt(power * other_power), 1e-12)
+    return product / max(math.sqrt(power * other_power), 1e-12)
 
 
 @compiled(f"float64[::1]({_RESULT}, {_PLANE}, {_PLANE}, float32)")
-def clip_and_project(residual: Float32s, along: Float32s, down: Float32s, most: float) -> Float64s:
+def clip_and_project(
+    residual: Array, along: Float32s, down: Float32s, most: np.float32
+) -> Float64s:
     """Clip a residual at `most`, in place; (6,) its products with the numbers of a motion.
 
     along, down: slopes of the image.  The numbers are those of `motion.Motion.affine`.

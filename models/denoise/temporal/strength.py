@@ -10,6 +10,7 @@ the frame count interpolates.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -226,7 +227,7 @@ def total_variation(grey: Array, sigma: Array) -> Array:
     momentum = 1.0
     for _ in range(_TV_STEPS):
         kernels.less_divergence(image, grey, across, down, weight)
-        next_momentum = (1 + np.sqrt(1 + 4 * momentum * momentum)) / 2
+        next_momentum = (1 + math.sqrt(1 + 4 * momentum * momentum)) / 2
         push = np.float32((momentum - 1) / next_momentum)
         kernels.step_dual(across, down, previous_across, previous_down, image, weight, push)
         momentum = next_momentum
@@ -243,4 +244,5 @@ def _target(predictors: Predictors, outside: Array, same: Bools) -> Float64s:
 
 def _changes(planes: Array, same: Bools) -> Float64s:
     """(predictors, pixels): the values of each plane where both frames show the same."""
-    return np.stack([plane[same] for plane in planes]).astype(np.float64)
+    changes: Float64s = np.stack([plane[same] for plane in planes]).astype(np.float64)
+    return changes

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....common.array_types import Array, Bools, Float32s, Float64s, UInt8s
+from ....common.array_types import Array, Bools, Float32s, Float64s, Floats, UInt8s
 from ....common.seeds import stream
 from ....dataset.frame_ref import FrameRef
 from ...frames.frame import Frame, Intrinsics, Surroundings
@@ -317,7 +317,7 @@ class _RoughView(NamedTuple):
     object_number: Array
 
 
-def _view_of(candidate: Pose, rays: Float64s, lookouts: _Lookouts) -> _RoughView:
+def _view_of(candidate: Pose, rays: Floats, lookouts: _Lookouts) -> _RoughView:
     """What a camera at the candidate's pose sees, looked up in the images of the lookouts.
 
     rays: (R, 3) directions of pixels in the camera's axes, 1 along the optical axis.
@@ -330,8 +330,10 @@ def _view_of(candidate: Pose, rays: Float64s, lookouts: _Lookouts) -> _RoughView
     x, y, ahead = np.where(is_left, *axes)
     column = np.clip((x / ahead * fx + cx + 0.5).astype(np.int64), 0, _LOOKOUT.width - 1)
     row = np.clip((y / ahead * fy + cy + 0.5).astype(np.int64), 0, _LOOKOUT.height - 1)
-    inverse = np.where(is_left, *(plane[row, column] for plane in lookouts.inverses))
-    object_number = np.where(is_left, *(plane[row, column] for plane in lookouts.objects))
+    left_inverse, right_inverse = (plane[row, column] for plane in lookouts.inverses)
+    left_object, right_object = (plane[row, column] for plane in lookouts.objects)
+    inverse = np.where(is_left, left_inverse, right_inverse)
+    object_number = np.where(is_left, left_object, right_object)
     has_surface = inverse * ahead > 0
     depth_m = 1 / np.where(has_surface, inverse * ahead, 1e-9)
     range_m = depth_m * np.sqrt((rays**2).sum(axis=1))
