@@ -53,8 +53,12 @@ demo: $(core) ## make a small dataset from nothing and a preview of it
 	$(VENV)/bin/simnfnd demo $(ARGS)
 
 # Without an order of its own xdist starts with the largest files; the slow ones come first here.
-test: $(stamp) ## run the tests
-	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+pytest := -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+test: $(stamp) ## run the tests but those marked slow, some minutes on two cores
+	$(python) $(pytest) -m "not slow" $(ARGS)
+
+test-slow: $(stamp) ## run the tests marked slow: whole commands, pages, trainings, interruptions
+	$(python) $(pytest) -m slow $(ARGS)
 
 check: $(stamp) ## lint, formatting and types
 	$(python) -m ruff check

@@ -123,7 +123,7 @@ class StackFile(Recording):
         page = self._contiguous(number, name) if self._is_contiguous else self._page(number, name)
         width, height = self._first.size
         if page.shape[:2] not in ((height, width), (width, height)):
-            own = f"{page.shape[1]} x {page.shape[0]}"
+            own = " x ".join(str(side) for side in page.shape[1::-1])
             raise FrameError(f"{name} has {own} pixels, the first {width} x {height}")
         samples = as_samples(page, name)
         time_s = self._axes.time_s(number)

@@ -76,6 +76,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("data"), train=32, test=6, size=48, noise=0.15)
 
 
+@pytest.mark.slow
 def test_one_command_writes_the_whole_report(
     dataset: Path,
     tmp_path: Path,
@@ -132,6 +133,7 @@ def test_one_command_writes_the_whole_report(
     assert more.partition("##")[0].count("| median") == 4
 
 
+@pytest.mark.slow
 def test_processes_do_not_change_the_figures(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=6, test=6, size=48, per_shard=5)
     alone, together = (measured(dataset, [MEDIAN], split="all", workers=n) for n in (1, 2))
@@ -145,6 +147,7 @@ def test_processes_do_not_change_the_figures(tmp_path: Path) -> None:
     assert (tmp_path / "1.json").read_bytes() == (tmp_path / "2.json").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_the_row_of_its_method_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -448,6 +451,7 @@ def test_paths_without_weights_are_named(dataset: Path, tmp_path: Path) -> None:
     assert "not a safetensors file" in actual.lost["bad"], "it loses its row"
 
 
+@pytest.mark.slow
 def test_one_command_gives_both_tables_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

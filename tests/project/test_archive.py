@@ -58,6 +58,7 @@ def run(script: str, root: Path, cwd: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_an_unpacked_zip_imports_and_is_a_repository_of_torch_hub(
     unpacked: Path, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
         return int(ended.code or 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VERBS)
 def test_every_verb_is_listed_and_explains_itself(name: str, monkeypatch, capsys) -> None:
     verb = VERBS[name]
@@ -44,6 +45,7 @@ def test_every_verb_is_listed_and_explains_itself(name: str, monkeypatch, capsys
     assert any(part in printed.lower() for part in parts)
 
 
+@pytest.mark.slow
 def test_a_verb_lists_the_verbs_of_its_own(monkeypatch, capsys) -> None:
     assert run(monkeypatch, "evaluate", "--help") == 0
     printed = capsys.readouterr().out
@@ -146,6 +148,7 @@ def test_all_that_is_absent_is_said_at_once(monkeypatch, tmp_path: Path, capsys)
     )
 
 
+@pytest.mark.slow
 def test_help_and_configuration_need_nothing(monkeypatch, capsys) -> None:
     for module in EXTRAS:
         monkeypatch.setitem(sys.modules, module, None)
@@ -164,6 +167,7 @@ def test_the_extras_install_what_they_are_named_for() -> None:
     assert declared["all"] == [f"simnfnd[{','.join(k for k in declared if k in everything)}]"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("room", "verb"), [("factory", "make"), ("models", "train"), ("evaluation", "evaluate")]
 )
@@ -177,6 +181,7 @@ def test_a_room_of_the_checkout_runs_its_verb(
     assert capsys.readouterr().out.startswith(f"simnfnd {verb}: ")
 
 
+@pytest.mark.slow
 def test_the_core_alone_answers_every_verb(tmp_path: Path) -> None:
     """Without any extra: help of all verbs, a dataset and what looks at it, one line of the rest.
 
@@ -248,6 +253,7 @@ print(f"core alone: {defects} defects")
 """
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_error_of_ours() -> None:
     """As with `simnfnd make --help | head -1`."""
     command = [sys.executable, "-m", "simnfnd", "cache", "stats"]

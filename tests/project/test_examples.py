@@ -63,6 +63,7 @@ def test_an_example_runs_in_a_process_of_its_own(dataset: Path, tmp_path: Path) 
     assert 5 < float(done.stdout.split("mean PSNR ")[1].split()[0]) < 25
 
 
+@pytest.mark.slow
 def test_a_tiny_network_learns_from_a_dataset(dataset: Path, printed: Callable[..., str]) -> None:
     line = printed("train_a_tiny_network.py", str(dataset), "60")
     before, after = line.removeprefix("mean squared error ").split(" -> ")
@@ -102,6 +103,7 @@ def test_an_empty_folder_is_named(
     assert script in f"{caught.value.code}{capsys.readouterr().err}"
 
 
+@pytest.mark.slow
 def test_a_u_net_trains_on_the_stream(tmp_path: Path, printed: Callable[..., str]) -> None:
     make_dataset(
         "experiment=demo", "render=analytic", "scenes.locations=2", "scenes.frames_per_location=1",
@@ -211,6 +213,7 @@ def test_a_node_of_ros_denoises_what_comes(tmp_path: Path, monkeypatch: pytest.M
             np.testing.assert_array_equal(actual, expected)
 
 
+@pytest.mark.slow
 def test_the_papers_figures(tmp_path: Path, printed: Callable[..., str]) -> None:
     small = ("render=analytic", "scenes.width=242", "scenes.height=152", "scenes.locations=1")
     printed("paper_figures.py", "--out", str(tmp_path), "--only", "paper", *small)
@@ -245,6 +248,7 @@ def test_a_listed_recording_becomes_pairs(tmp_path: Path, printed: Callable[...,
     assert len(list(tmp_path.glob(f"outputs/{folder.name}/*/*.h5"))) == 1
 
 
+@pytest.mark.slow
 def test_labels_of_real_fish_lie_on_echoes() -> None:
     """Every plain box is brighter than the background of the recording, most by far."""
     frames = np.stack(
@@ -272,6 +276,7 @@ def test_labels_of_real_fish_lie_on_echoes() -> None:
     assert np.median(brighter) > 2
 
 
+@pytest.mark.slow
 def test_targets_are_classified_with_near_duplicates_in_one_fold(
     tmp_path: Path, printed: Callable[..., str]
 ) -> None:

@@ -160,6 +160,7 @@ def made(site: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, st
     return folder, run_python(site, folder, MAKE_BOTH, json.dumps([SNOWY, DIVES]))
 
 
+@pytest.mark.slow
 def test_the_manifest_names_the_package_of_an_effect(made: tuple[Path, str]) -> None:
     folder, printed = made
     assert "exit code 0" in printed.splitlines()
@@ -174,6 +175,7 @@ def test_the_manifest_names_the_package_of_an_effect(made: tuple[Path, str]) -> 
     assert (table["points.drifting_snow"] > 0).all()
 
 
+@pytest.mark.slow
 def test_resuming_knows_the_effect_and_the_version_of_its_source(
     site: Path, made: tuple[Path, str], run: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -194,6 +196,7 @@ def test_resuming_knows_the_effect_and_the_version_of_its_source(
     assert "other code of effect drifting_snow; remove this folder" in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "code", "answer"),
     [
@@ -256,6 +259,7 @@ def test_an_effect_is_used_from_a_script(site: Path) -> None:
         assert more.record["noise.drifting_snow.density"] == 0.2
 
 
+@pytest.mark.slow
 def test_what_a_script_defines_itself_is_refused_by_workers(site: Path, tmp_path: Path) -> None:
     code = (site / "mine/snow.py").read_text() + (
         "\nfrom simnfnd import make_dataset\n"
@@ -301,6 +305,7 @@ def test_names_that_are_taken_or_unusable_are_refused() -> None:
         register_reader(entry)
 
 
+@pytest.mark.slow
 def test_a_broken_package_is_named_and_disturbs_nothing_else(
     run: Callable[..., str], tmp_path: Path
 ) -> None:

@@ -144,6 +144,7 @@ def test_frames_and_words_that_will_not_do(monkeypatch) -> None:
         simnfnd.make_pair(rgb, depth_m, **PLACE, config=("render=cycles",))
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     rgb, depth_m = frame()

@@ -75,6 +75,7 @@ def test_the_paper_says_how_far_the_network_leads_single_frames() -> None:
     assert f"by {lead_db[0]:.2f} dB (ARIS) and {lead_db[1]:.2f} dB (DIDSON)" in paper
 
 
+@pytest.mark.slow
 def test_the_denoiser_is_the_one_that_was_measured() -> None:
     now = readme_figures.probe()
     assert now == pytest.approx(kept()["probe"], abs=WITHIN_DB), (

@@ -135,6 +135,7 @@ def test_memory_does_not_grow() -> None:
     assert max(sizes[-many // 2 :]) < 1.1 * max(sizes[many // 2 : many]) + 50_000
 
 
+@pytest.mark.slow
 def test_no_torch_is_needed(tmp_path: Path) -> None:
     script = tmp_path / "stream.py"
     script.write_text(

@@ -69,6 +69,7 @@ def installed_with(texts: str) -> set[str]:
     return {name for name, _ in actual}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("needs", "code"), SNIPPETS, ids=[needs.split(", ")[-1] for needs, _ in SNIPPETS]
 )

@@ -72,6 +72,7 @@ def contents(dataset: Path) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_a_dataset_is_that_of_the_command(tmp_path: Path, monkeypatch, capfd) -> None:
     observed: list[RunProgress] = []
     words = (*SMALL, "scheduler=serial")
@@ -96,6 +97,7 @@ def test_a_dataset_is_that_of_the_command(tmp_path: Path, monkeypatch, capfd) ->
         simnfnd.make_dataset("nois=none")
 
 
+@pytest.mark.slow
 def test_a_script_without_a_guard_makes_a_dataset_with_workers(tmp_path: Path) -> None:
     said = outcome(SCRIPT, str(tmp_path / "data"), *SMALL, cwd=tmp_path)
     assert said.splitlines() == ["begun", "4 0"]
@@ -123,6 +125,7 @@ def test_frames_that_fail_are_named(tmp_path: Path) -> None:
     assert "valid pixels" in failure.reason
 
 
+@pytest.mark.slow
 def test_inside_another_application_of_hydra(tmp_path: Path) -> None:
     pair = simnfnd.make_pair(*frame(), **PLACE)
     said = outcome(APPLICATION, cwd=tmp_path)
@@ -138,6 +141,7 @@ def test_threads_compose_and_make_the_same() -> None:
         assert list(pool.map(noise_sum, range(11, 17))) == list(map(noise_sum, range(11, 17)))
 
 
+@pytest.mark.slow
 def test_workers_of_a_loader_make_pairs() -> None:
     from torch.utils.data import DataLoader, Dataset
 
@@ -242,6 +246,7 @@ def test_a_pair_carries_what_chooses_its_weights(
 # --- choices in a folder of one's own -----------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_verb_finds_choices_in_a_folder(tmp_path: Path, monkeypatch, capfd) -> None:
     (tmp_path / "mine/sonar").mkdir(parents=True)
     (tmp_path / "mine/sonar/tiny.yaml").write_text(

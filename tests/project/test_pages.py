@@ -200,6 +200,7 @@ def run_example(example: str, *more: str) -> int:
         return int(ended.code or 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", ALL)
 def test_an_example_of_a_help_does_what_it_says(
     example: str, place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd

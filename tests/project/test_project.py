@@ -115,6 +115,7 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
     assert actual == []
 
 
+@pytest.mark.slow
 def test_no_module_of_the_factory_imports_anything_heavy() -> None:
     names = [module_name(path) for path in modules("factory")]
     code = (
@@ -316,6 +317,7 @@ def test_mistakes_are_one_line(words: list[str], capfd: pytest.CaptureFixture[st
     assert words[-1] in error
 
 
+@pytest.mark.slow
 def test_quick_runs() -> None:
     assert {"command", "denoise", "stages"} <= set(benchmarks.discover())
     section = benchmarks.run("stages", Options(quick=True))

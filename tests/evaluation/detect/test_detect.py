@@ -195,6 +195,7 @@ SMALL = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_report(tmp_path: Path, frames: Frames, capsys: pytest.CaptureFixture[str]) -> None:
     folder = saved(tmp_path / "dive", frames)
     out = tmp_path / "out"

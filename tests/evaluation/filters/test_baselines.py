@@ -45,6 +45,7 @@ def run(name: str, image: Array, **parameters: float) -> Array:
     return baseline(image, {**baseline.default, **parameters})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_gives_an_image_for_every_image(name: str) -> None:
     rng = np.random.default_rng(1)

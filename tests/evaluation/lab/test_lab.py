@@ -73,6 +73,7 @@ def dataset(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "dataset"
 
 
+@pytest.mark.slow
 def test_the_exported_command_makes_the_images_of_the_lab(session: Session, dataset: Path) -> None:
     pairs = PairDataset(dataset, "all", scaled=False)
     for number in (0, 1):
@@ -97,6 +98,7 @@ def test_a_dataset_is_where_the_lab_goes_on(session: Session, dataset: Path) -> 
     assert compose_config(again.words).noise == session.configured(CHANGES).noise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "changes"),
     [
@@ -334,6 +336,7 @@ whenAnswered(1, () => {
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 def test_a_slider_moves_the_image(
     session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -266,6 +266,7 @@ def timed(groups: list[Group], networks: list[Method], most: int = 20) -> tuple[
         return in_time.judged_in_time(settings, groups, networks, pool)
 
 
+@pytest.mark.slow
 def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(in_time, "network", lambda weights, device: blurred)
     monkeypatch.setattr(in_time, "WEIGHTS", (0.02, 0.04))

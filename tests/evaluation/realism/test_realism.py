@@ -77,6 +77,7 @@ def test_bearings_without_data_are_left_out_and_squeezed_images_stretched() -> N
         assert polar.std(axis=1).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not MDD.is_dir(), reason="needs the MDD sample in ../shared/data")
 def test_every_real_image_gets_the_geometry_it_was_measured_to_have() -> None:
     lines = (MDD / "fan_geometry.csv").read_text().splitlines()[1:]
@@ -184,6 +185,7 @@ def many() -> dict[str, pd.DataFrame]:
     return {"real": of(24), "same": of(24), "bright": of(16, level=0.42)}
 
 
+@pytest.mark.slow
 def test_a_perfect_simulation_reaches_the_halves_and_another_does_not(
     many: dict[str, pd.DataFrame],
 ) -> None:
@@ -266,6 +268,7 @@ def settings_for(real: Path, out: Path, **changes: object) -> FitSettings:
     return build(FitSettings, {**values, **changes})
 
 
+@pytest.mark.slow
 def test_the_density_that_made_the_images_is_found_again(
     real: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -292,6 +295,7 @@ def test_the_density_that_made_the_images_is_found_again(
     assert composed["sonar"]["beams"] == 64
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_goes_on_as_if_nothing_had_happened(
     real: Path, tmp_path: Path
 ) -> None:
@@ -330,6 +334,7 @@ def test_spreads_are_written_as_distributions_within_the_limits() -> None:
     assert search.written(b, 2.0, 1.0) == {"uniform": [1.0, 4.0]}
 
 
+@pytest.mark.slow
 def test_the_command_takes_the_recipe_behind_two_dashes(
     real: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

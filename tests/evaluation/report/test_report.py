@@ -135,6 +135,7 @@ def items(count: int, scenes: int = 2) -> list[JudgedPair]:
     ]
 
 
+@pytest.mark.slow
 def test_networks_are_held_against_the_best_tuned_baseline(tmp_path: Path) -> None:
     """Which baseline that is, validation says: on the test pairs another one is ahead."""
     base = np.linspace(15, 20, 12)
@@ -187,6 +188,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]
     return a, b, c
 
 
+@pytest.mark.slow
 def test_compare_says_which_is_better(
     reports: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -332,6 +332,7 @@ def test_words_become_keys(tmp_path: Path) -> None:
         _transfer_words(["a", "b", "c"])
 
 
+@pytest.mark.slow
 def test_command_trains_judges_and_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -234,6 +234,7 @@ def page_after(shown: Shown, script: str, folder: Path, monkeypatch: pytest.Monk
     return done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
 def test_the_page_plays_a_recording_to_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

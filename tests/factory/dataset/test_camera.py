@@ -55,6 +55,7 @@ def assert_is_frame(layers: Any, frame: Frame) -> None:
     np.testing.assert_array_equal(layers["depth"][known], frame.depth_m[known])
 
 
+@pytest.mark.slow
 def test_of_a_recording_they_are_the_readers_frames(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

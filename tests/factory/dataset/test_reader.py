@@ -128,6 +128,7 @@ def test_a_dataset_of_many_shards_keeps_few_open(
             assert len(open_files(tmp_path)) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_other_processes_read_the_same(sound: Path, method: str) -> None:
     pairs = opened(sound)

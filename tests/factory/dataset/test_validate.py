@@ -264,6 +264,7 @@ def test_no_object_that_the_schema_has_not_is_read(
         assert "train/shard-00000.h5" in read.replace("\\", "/")
 
 
+@pytest.mark.slow
 def test_mutated_datasets_get_a_clear_answer(
     sound: Path, folder: Path, reader: IsolatedProcess
 ) -> None:

@@ -142,6 +142,7 @@ def test_a_traceback_is_shown_with_debug_only(tmp_path):
         main(["make", "resample.rate=0", "debug=true"])
 
 
+@pytest.mark.slow
 def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_path, flsea, capfd):
     monkeypatch.chdir(tmp_path)
     code = run(
@@ -177,6 +178,7 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
     assert said.out.count("render: ") == 1, "what the points have in common is said once"
 
 
+@pytest.mark.slow
 def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, flsea):
     monkeypatch.chdir(tmp_path)
     code = run("-m", "resample.rate=0,0.5", "scenes=flsea", f"scenes.root={flsea}", *FAST)
@@ -187,6 +189,7 @@ def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, 
     assert "resample.rate" in table[0]
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, flsea, capfd):
     from simnfnd.factory.common.workers.signals import Interrupted
     from simnfnd.factory.production.cli import generate
@@ -211,6 +214,7 @@ def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, 
     assert capfd.readouterr().err.count("interrupted") == 1
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_for_any_number_of_workers(tmp_path, flsea):
     serial = tmp_path / "serial"
     local = tmp_path / "local"
@@ -225,6 +229,7 @@ def test_the_same_seed_gives_the_same_bytes_for_any_number_of_workers(tmp_path, 
         assert (serial / shard).read_bytes() == (local / shard).read_bytes()
 
 
+@pytest.mark.slow
 def test_stride_limit_variants_and_only(tmp_path, flsea):
     out = tmp_path / "out"
     words = words_for(flsea, out, "frames.limit=2", "frames.variants=3")
@@ -375,6 +380,7 @@ def test_points_of_a_sweep_do_not_share_a_folder(tmp_path, capfd):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_recipe_may_sweep_by_itself():
     sonars = [point.sonar.name for point in compose_points(["experiment=fish"])]
     assert sonars == ["didson_hf", "aris_1800_hf"]
@@ -396,6 +402,7 @@ def test_scenes_of_any_name_test_and_train():
     assert warnings(odd, split={"test": read(offered)}) == ()
 
 
+@pytest.mark.slow
 def test_the_printed_commands_can_be_pasted(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     for scene in ("café (2)", "it's, [07]"):

@@ -198,6 +198,7 @@ def test_quantiles_are_those_of_numpy(values: Float32s, fraction: float, skip: i
     np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-13 * float(values.max()))
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**200), names=st.lists(st.text(max_size=4) | st.integers(), max_size=3))
 def test_streams_are_those_of_numpys_seed_sequence(seed: int, names: list[str | int]) -> None:

@@ -51,6 +51,7 @@ def clips_of(folder: Path) -> list:
     return read_clips([folder], folder / "out", Geometries(NONE)).clips
 
 
+@pytest.mark.slow
 def test_weights_learn_from_frames_without_truth(
     tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -197,6 +198,7 @@ def test_damaged_images_are_left_out(
     assert "in 5 of 6 frames" in caught.out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the sample recordings")
 def test_sample_recordings_are_static(tmp_path: Path) -> None:
     with_ping = read_clips([DATA / "aris-sdk/sample.aris"], tmp_path, Geometries(NONE))

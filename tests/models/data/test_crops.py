@@ -70,6 +70,7 @@ def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None
     assert mirrored == {1, -1}
 
 
+@pytest.mark.slow
 def test_reading_processes_change_nothing(dataset: Path) -> None:
     samples = read_table(dataset, "train").samples
     data = data_settings(batch=4, patch=16)

@@ -34,6 +34,7 @@ def fingerprints(batches: Any) -> list[bytes]:
     return [batch["noisy"].numpy().tobytes() for batch in batches]
 
 
+@pytest.mark.slow
 def test_batches_are_pairs_under_fresh_noise(words: tuple[str, ...]) -> None:
     stream = PairStream(*words, batch_size=2, seed=4)
     frames = len(stream.frames)
@@ -61,6 +62,7 @@ def test_batches_are_pairs_under_fresh_noise(words: tuple[str, ...]) -> None:
     assert len(clean) == frames
 
 
+@pytest.mark.slow
 def test_labels_and_shapes_are_those_of_the_dataset(words: tuple[str, ...]) -> None:
     layers = ("noisy", "clean", "shadow", "segmentation", "instance", "range")
     folder = Path(words[-1].partition("=")[2]).with_name("labelled")
@@ -93,6 +95,7 @@ def test_several_workers_give_the_same_batches(words: tuple[str, ...]) -> None:
     assert fingerprints(islice(loader, 6)) == alone
 
 
+@pytest.mark.slow
 def test_ranks_share_the_batches_and_resume(words: tuple[str, ...]) -> None:
     together = fingerprints(islice(PairStream(*words, batch_size=1, rank=0, ranks=1), 8))
     for rank in range(2):

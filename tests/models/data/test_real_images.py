@@ -94,6 +94,7 @@ def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
     assert spread.sum() == pytest.approx(clean.sum(), rel=0.1)
 
 
+@pytest.mark.slow
 def test_old_data_trains(images: Path, tmp_path: Path) -> None:
     words = ("data=olddata", f"data.folder='{images}'", f"data.geometry='{images / 'fans.csv'}'")
     out = tmp_path / "out"

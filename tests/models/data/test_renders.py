@@ -57,6 +57,7 @@ def test_renders_train_on_no_scene_that_tests_or_validates(
     assert capsys.readouterr().out == "renders: 2 frames\n"
 
 
+@pytest.mark.slow
 def test_renders_that_training_makes_need_no_test_split_and_are_missed_by_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -205,6 +206,7 @@ def source(rendered: tuple[Path, Path]) -> DeviceSource:
     return drawn
 
 
+@pytest.mark.slow
 def test_every_visit_is_another_image_and_the_same_one_again(source: DeviceSource) -> None:
     elsewhere = pickle.loads(pickle.dumps(source))
     samples = [source.sample(0, visit) for visit in range(4)]

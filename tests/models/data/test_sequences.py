@@ -136,6 +136,7 @@ def test_a_sample_averages_static_pixels_and_keeps_moving_objects(swims):
     assert len({float(frames.max()) for frames in drawn if frames is not None}) > 3
 
 
+@pytest.mark.slow
 def test_a_training_on_sequences_broken_off_ends_with_the_same_bytes(swims, tmp_path, monkeypatch):
     words = ("data=sequences", f"dataset.dir='{swims}'", *SMALL, "data.crops=2", "data.reuse=2")
     train(*composed(*words, f"out='{tmp_path / 'whole'}'"))

@@ -51,6 +51,7 @@ def inputs(tmp_path: Path) -> list[str]:
     return ["images/0.png", "images", "stack.npy", "data"]
 
 
+@pytest.mark.slow
 def test_denoising_works_without_what_windows_lacks(tmp_path: Path, inputs: list[str]) -> None:
     (tmp_path / "site").mkdir()
     (tmp_path / "site" / "sitecustomize.py").write_text(SITE, encoding="ascii")

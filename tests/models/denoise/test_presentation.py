@@ -18,6 +18,7 @@ from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen, w
 QUARTERS = {"usual": 0, "from the left": 1, "upside down": 2, "from the right": 3}
 
 
+@pytest.mark.slow
 def test_turned_fans_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
     grey, _ = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
     (tmp_path / "in").mkdir()

@@ -95,6 +95,7 @@ def use(monkeypatch: pytest.MonkeyPatch, denoiser: Smoothing) -> Smoothing:
     return denoiser
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_stopped_recording_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
@@ -120,6 +121,7 @@ def test_a_stopped_recording_goes_on(
     assert again <= 2 * (unfinished.INTERVAL + 8)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on(tmp_path: Path) -> None:
     """By KILL, in processes of their own."""
     write_video(tmp_path / "a.avi")
@@ -147,6 +149,7 @@ def test_a_killed_run_goes_on(tmp_path: Path) -> None:
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_a_recording_that_changed_begins_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -261,6 +264,7 @@ def test_a_new_image_changes_its_sequence(tmp_path: Path, monkeypatch: pytest.Mo
         assert len(rows_of(tmp_path / window)) == 6
 
 
+@pytest.mark.slow
 def test_the_table_says_what_became_of_each_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

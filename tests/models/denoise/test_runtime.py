@@ -84,6 +84,7 @@ def in_torch(both: tuple[Path, Path]) -> Denoiser:
     return denoise
 
 
+@pytest.mark.slow
 def test_a_graph_of_another_network_is_no_graph_of_these_weights(tmp_path: Path) -> None:
     weights, _ = exported(MODELS["grid"], tmp_path / "grid")
     _, other_weights = exported(MODELS["plane"], tmp_path / "plane")
@@ -202,6 +203,7 @@ def write_arrays(path: Path, header: Any, arrays: Arrays) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_an_image_is_denoised_without_torch(tmp_path: Path) -> None:
     drawn, _ = fan(preset("aris_explorer_3000", 150, 211), 0.3, holes=False)
     cv2.imwrite(str(tmp_path / "image.png"), drawn)

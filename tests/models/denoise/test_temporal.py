@@ -252,6 +252,7 @@ def test_order_and_window(causal: bool) -> None:
     assert first >= (9 if causal else 8)
 
 
+@pytest.mark.slow
 def test_memory_stays_flat() -> None:
     def endless(count: int) -> Iterator[SequenceFrame]:
         truth = view(scene())
@@ -316,6 +317,7 @@ def test_sequences_are_images_that_differ_in_their_last_number(tmp_path: Path) -
     ]
 
 
+@pytest.mark.slow
 def test_lamprey_gains_in_time() -> None:
     """Decibels on the recording that ships, against the mean of frames that no window holds."""
     with open_recording(LAMPREY) as recording:

@@ -167,6 +167,7 @@ def train(folder: Path, steps: int, **changes: Any) -> Any:
     return train_detector(folder, sources, CLASSES, schedule, {"about": "squares"}, **changes)
 
 
+@pytest.mark.slow
 def test_training_finds_what_it_learned(tmp_path: Path) -> None:
     trained = train(tmp_path, 70)
     unseen = working_images(4, seed=1)

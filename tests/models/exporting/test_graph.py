@@ -39,6 +39,7 @@ def weights(folder: Path, kind: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "layout"),
     [
@@ -97,6 +98,7 @@ def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float)
         compared(graph, different)
 
 
+@pytest.mark.slow
 def test_the_example_denoises_as_the_command_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -140,6 +140,7 @@ def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
         assert upright.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=close)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "screens").is_dir(), reason="no shared data")
 def test_fans_between_drawn_lines_of_chart_plotters() -> None:
     """Half of the fan is dark, and its range ring and edges are white lines."""

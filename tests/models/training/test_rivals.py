@@ -40,6 +40,7 @@ def test_hinge_is_satisfied_by_clear_judgements() -> None:
     assert hinge(torch.tensor([-1.0]), torch.tensor([3.0])).item() == 6
 
 
+@pytest.mark.slow
 def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -79,6 +80,7 @@ def test_a_critic_and_a_teacher_exclude_each_other(dataset: Path, tmp_path: Path
         train(*config_for(dataset, tmp_path, *words))
 
 
+@pytest.mark.slow
 def test_a_network_learns_from_noisy_images_alone(dataset: Path, tmp_path: Path) -> None:
     """What it takes away gets the variance of speckle; it sees no clean image."""
     network = tiny("log_residual").train()

@@ -51,6 +51,7 @@ def trained(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_training_learns_to_denoise(trained: Path, dataset: Path) -> None:
     with (trained / "metrics.csv").open(encoding="utf-8") as file:
         rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
@@ -92,6 +93,7 @@ def test_weights_describe_themselves(trained: Path, dataset: Path) -> None:
     assert config["train"]["steps"] == 45
 
 
+@pytest.mark.slow
 def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
     trained: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -125,6 +127,7 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
         assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_killed_training_continues(trained: Path, dataset: Path, tmp_path: Path) -> None:
     """SIGKILL to the real program right after a checkpoint, then the same command again."""
     command = [
@@ -147,6 +150,7 @@ def test_killed_training_continues(trained: Path, dataset: Path, tmp_path: Path)
     assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_stopped_training_goes_on_from_its_last_step(
     trained: Path,
     dataset: Path,

@@ -65,6 +65,7 @@ def url(request: pytest.FixtureRequest, bucket: str, tmp_path: Path) -> str:
     return f"{places[request.param]}/{name}"
 
 
+@pytest.mark.slow
 def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> None:
     assert make(folder_of(url)).samples == 32
     actual = contents(url)
@@ -100,6 +101,7 @@ def test_what_is_damaged_or_missing_there_is_made_again(bucket: str, local: Path
     assert shards_of(url) == shard_bytes(local)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_path: Path) -> None:
     url = f"{bucket}/killed"
     code = (
@@ -130,6 +132,7 @@ def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_p
     assert manifest_of(url).keys() == shard_bytes(local).keys()
 
 
+@pytest.mark.slow
 def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path) -> None:
     url = f"{bucket}/wanted"
     make(folder_of(url))

@@ -32,6 +32,7 @@ def refused(directories, out: Path, match: str) -> None:
     assert not list(out.parent.glob(".*partial*"))
 
 
+@pytest.mark.slow
 def test_the_shards_are_those_of_both(two, tmp_path, capsys) -> None:
     out = tmp_path / "out"
     main([str(two[0]), str(two[1]), "--out", str(out), "--name", "both"])

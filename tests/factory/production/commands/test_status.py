@@ -55,6 +55,7 @@ def rewrite(out: Path, **changes: str) -> None:
     path.write_text(json.dumps({**item, **changes}) + "\n")
 
 
+@pytest.mark.slow
 def test_a_forged_command_is_shown_and_not_run(failed: Path, capfd) -> None:
     stolen = failed.parent / "stolen"
     for command in (

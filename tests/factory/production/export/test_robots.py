@@ -37,6 +37,7 @@ def datasets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {layout: root / layout for layout in LAYOUTS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_pings_come_back_with_ranges_beams_and_times(
     datasets: dict[str, Path], layout: str, tmp_path: Path
@@ -213,6 +214,7 @@ def test_the_same_dataset_gives_the_same_bytes(
         assert path.read_bytes() == twin.read_bytes(), path.name
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_is_told(tmp_path: Path) -> None:
     small = ("scenes.locations=1", "scenes.frames_per_location=1")
     plain = ("experiment=demo", *WORDS[:-2], *small)

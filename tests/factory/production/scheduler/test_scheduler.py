@@ -178,6 +178,7 @@ def test_frames_that_are_prepared_by_others_give_the_same_bytes(
         assert len(makers) == 1, "somebody else than the render worker prepared a frame"
 
 
+@pytest.mark.slow
 def test_frames_that_fail_or_kill_dasks_workers_cost_themselves_alone(
     tmp_path: Path, undisturbed: dict[str, bytes]
 ) -> None:
@@ -197,6 +198,7 @@ def test_frames_that_fail_or_kill_dasks_workers_cost_themselves_alone(
         assert bytes_of_shard[path] == undisturbed[path]
 
 
+@pytest.mark.slow
 def test_a_frame_that_cannot_be_prepared_costs_itself_alone(
     tmp_path: Path, undisturbed: dict[str, bytes]
 ) -> None:
@@ -299,6 +301,7 @@ def open_many(directory: Path, together: threading.Barrier) -> None:
         open_folder(directory / str(number), {"seed": 0}, PROVENANCE)
 
 
+@pytest.mark.slow
 def test_slices_that_begin_at_once_are_all_let_in(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     together = context.Barrier(SLICES)

@@ -53,6 +53,7 @@ def session_members(session: int) -> list[int]:
     return members
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "exit_code"),
     [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)],
@@ -98,6 +99,7 @@ make(Path(sys.argv[1]), FakeConfig(delay_s=0.1))
 """
 
 
+@pytest.mark.slow
 def test_a_second_signal_kills_at_once(tmp_path: Path, undisturbed: dict[str, bytes]) -> None:
     directory = tmp_path / "dataset"
     process = start("-c", NEVER_ENDING_STOP, directory)

@@ -54,6 +54,7 @@ def test_a_stopped_worker_costs_the_limit_and_some_seconds(tmp_path: Path) -> No
     assert "frame_timeout_s=1" in failure.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_workers_outlive_their_template_and_not_the_backend(number: int) -> None:
     template.kill()
@@ -93,6 +94,7 @@ def children() -> list[psutil.Process]:
     return processes_of(os.getpid())
 
 
+@pytest.mark.slow
 def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
     names = ["a", "die", "b", "sleep", "c"]
     with TaskPool(2) as pool:
@@ -111,6 +113,7 @@ def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
     assert not children()
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -191,6 +194,7 @@ def report_of_worker() -> tuple[int, int, bool, str]:
     return actual[0], actual[1], actual[2], actual[3]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("none_before")
 def test_what_was_loaded_is_there_and_nothing_is_forked_from_this_process() -> None:
     _, parent, loaded, threads = report_of_worker()
@@ -217,6 +221,7 @@ def test_environment_and_folder_are_those_of_now(
         backend.close()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("none_before")
 def test_one_that_hangs_is_killed_and_the_worker_comes(
     monkeypatch: pytest.MonkeyPatch,

@@ -55,6 +55,7 @@ def test_every_sonar_composes(sonar):
     assert len(device.beam_centres_rad()) == device.beams
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["render", "noise", "resample", "scenes", "acoustics", "devices"])
 def test_every_choice_of_a_group_composes(group):
     for name in names(group):
@@ -117,6 +118,7 @@ def test_the_default_files_list_every_key(settings, file):
     assert written == declared
 
 
+@pytest.mark.slow
 def test_equal_settings_have_one_digest_and_others_another():
     base = digest(identity(config()))
     assert digest(identity(config("resample.rate={uniform:[0.35,0.9]}"))) == base

@@ -284,6 +284,7 @@ def keys_of_base(name: str) -> list[tuple[str, Any]]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BASES)
 def test_every_key_changes_bytes_or_is_refused(name: str) -> None:
     base = compose_config(BASES[name])
@@ -369,6 +370,7 @@ def test_every_key_of_recorded_scenes_changes_bytes_or_is_refused(
     assert not ignored
 
 
+@pytest.mark.slow
 def test_no_key_of_a_group_is_left_out() -> None:
     """Of all keys that files of `conf` list, each is changed above or in a short list."""
     changed = {key for name in BASES for key, _ in keys_of_base(name)}

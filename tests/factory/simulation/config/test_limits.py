@@ -76,6 +76,7 @@ def changed(values: Any, path: Path, number: float) -> Any:
     return result
 
 
+@pytest.mark.slow
 def test_every_number_has_limits() -> None:
     tested = set(ANY_NUMBER)
     for words in BASES.values():

@@ -110,6 +110,7 @@ def test_rasters_show_samples_as_they_are_or_between() -> None:
     assert len(np.unique(raster())) > len(np.unique(polar))
 
 
+@pytest.mark.slow
 def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
     words = ("devices=fixed", "noise=physical", "sonar.image.width_px=90")
     usual = compose_config(["experiment=physical", "sonar.image.width_px=90"])
@@ -127,6 +128,7 @@ def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
         assert (changed.clean != before.clean).any() == (key != "jpeg_quality")
 
 
+@pytest.mark.slow
 def test_a_device_that_sees_nothing_gives_way_to_the_next() -> None:
     """All of the ground lies nearer than 4 m; half of the devices begin beyond it."""
     far = "devices.range_min_m={choice: [0.7, 20]}"

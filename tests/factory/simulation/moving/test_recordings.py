@@ -54,6 +54,7 @@ def frames_of(maker: PairMaker, numbers: list[int], scene: str = "seabed-0003"):
     return [maker.pairs(FrameRef("seabed", scene, f"{n:04d}"), (0,))[0] for n in numbers]
 
 
+@pytest.mark.slow
 def test_static_grain_keeps_as_in_a_real_recording(maker):
     pairs = frames_of(maker, [0, 1, 10, 11])
     frames = np.stack([pair.noisy for pair in pairs]).astype(np.float32)
@@ -72,6 +73,7 @@ def test_static_grain_keeps_as_in_a_real_recording(maker):
     assert np.mean([correlation(0, 2), correlation(1, 3)]) == pytest.approx(LAMPREY[10], abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_frame_is_the_same_whoever_makes_it_and_in_whatever_order(maker):
     forwards = frames_of(maker, [2, 5])
     another = PairMaker(maker.config, PlaneViews())
@@ -81,6 +83,7 @@ def test_a_frame_is_the_same_whoever_makes_it_and_in_whatever_order(maker):
         assert forward.record["tracks"] == backward.record["tracks"]
 
 
+@pytest.mark.slow
 def test_parameters_of_the_noise_belong_to_the_recording(maker):
     pairs = [*frames_of(maker, [0, 7]), *frames_of(maker, [0], "seabed-0004")]
     drawn = [pair.record["noise.receiver.level_db"] for pair in pairs]

@@ -215,6 +215,7 @@ def test_moving_objects_cover_paths() -> None:
     assert bounces.clear_of(covered).mirror.tolist() == [1]
 
 
+@pytest.mark.slow
 def test_bounces_off_leave_hashes_and_need_embree() -> None:
     plain = compose_config(["render=embree"])
     assert identity(plain)["render"]["bounces"] == 0

@@ -137,6 +137,7 @@ def test_a_pack_holds_the_renders_and_knows_its_mount(tmp_path: Path) -> None:
         read_contents(tmp_path / "one.pack")
 
 
+@pytest.mark.slow
 def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> None:
     refs = [FrameRef("seabed", f"seabed-000{k}", "0000") for k in range(2)]
     hashes = set()
@@ -229,6 +230,7 @@ def test_the_key_covers_every_module_that_a_render_passes() -> None:
     assert {"simulation/scenes/base.py", "common/seeds.py"} <= names
 
 
+@pytest.mark.slow
 def test_adding_noise_loads_neither_blender_nor_open3d(tmp_path: Path) -> None:
     settings = config(tmp_path)
     ref = FrameRef("seabed", "seabed-0000", "0001")
@@ -267,6 +269,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     return main(words, default="make")
 
 
+@pytest.mark.slow
 def test_from_command_line_to_pack_and_back(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

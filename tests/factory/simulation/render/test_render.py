@@ -219,6 +219,7 @@ def test_same_bytes_whatever_was_rendered_before(kind: str) -> None:
     assert [digest(render(kind, frame, mount)) for mount in mounts] == first
 
 
+@pytest.mark.slow
 def test_a_fresh_process_gives_the_same_bytes_and_prints_nothing_else() -> None:
     pytest.importorskip("bpy")
     script = (

@@ -50,6 +50,7 @@ def test_distances_along_rays_give_the_same_frame(tmp_path: Path) -> None:
     assert [values["scenes"]["depth_kind"] for values in identities] == ["z", "ray"]
 
 
+@pytest.mark.slow
 def test_a_corrected_depth_map_is_noticed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

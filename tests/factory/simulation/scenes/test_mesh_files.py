@@ -358,6 +358,7 @@ def save_blends(scripts: dict[Path, str]) -> None:
     subprocess.run(command, check=True, capture_output=True)
 
 
+@pytest.mark.slow
 def test_output_settings_of_a_blend_do_not_matter(tmp_path: Path) -> None:
     path = tmp_path / "world.blend"
     save_blends({path: OUTPUT})

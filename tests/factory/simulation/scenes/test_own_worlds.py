@@ -115,6 +115,7 @@ def own(folder: Path, entry: str, *words: str) -> FactoryConfig:
     return compose_config([f"scenes.own_objects=[{{file: {folder}/{entry}}}]", *SMALL, *words])
 
 
+@pytest.mark.slow
 def test_own_objects_lie_in_every_place_and_leave_the_rest_as_it_was(folder: Path) -> None:
     own_object = "cube.ply, class: crate, per_place: [2, 3], reflectivity_db: -7"
     words = "scenes.locations=2", "scenes.frames_per_location=4"
@@ -209,6 +210,7 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
         assert visible == pytest.approx(alone - hidden, rel=0.06, abs=12)
 
 
+@pytest.mark.slow
 def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
     """COCO's box is that of the projected mesh; names go through to every format."""
     out = tmp_path / "set"
@@ -268,8 +270,8 @@ def test_labels_boxes_and_exports_agree(folder: Path, tmp_path: Path) -> None:
     import datasets
 
     loaded = datasets.load_dataset(str(tmp_path / "hub"), cache_dir=str(tmp_path / "hf"))["train"]
-    assert loaded.features["objects"].feature["category"].names == ["target"]
-    assert loaded[0]["objects"][0]["category"] == 0
+    assert loaded.features["objects"]["category"].feature.names == ["target"]
+    assert loaded[0]["objects"]["category"][0] == 0
 
 
 def overlap(a: tuple, b: tuple) -> float:
@@ -337,6 +339,7 @@ def test_materials_name_known_classes(folder: Path, tmp_path: Path) -> None:
         own(folder, two, "experiment=physical")
 
 
+@pytest.mark.slow
 def test_equal_bytes_on_one_and_many_workers(folder: Path, tmp_path: Path) -> None:
     for name, backend in (("one", "serial"), ("three", "local")):
         words = [

@@ -67,6 +67,7 @@ def frames() -> dict[tuple[int, int], Frame]:
     return {(k, pose): reader.load(ref(k, pose)) for k in LOCATIONS for pose in POSES}
 
 
+@pytest.mark.slow
 def test_frames_are_measured_labelled_and_look_a_little_down(
     frames: dict[tuple[int, int], Frame],
 ) -> None:
@@ -127,6 +128,7 @@ def test_two_views_show_the_same_surface(frames: dict[tuple[int, int], Frame]) -
     assert checked >= 3
 
 
+@pytest.mark.slow
 def test_a_frame_depends_on_its_name_alone(frames: dict[tuple[int, int], Frame]) -> None:
     """Neither the order of work, nor other frames, nor how many are asked for, nor the process."""
     expected = [fingerprint(frames[key]) for key in ((3, 1), (4, 0), (3, 0))]

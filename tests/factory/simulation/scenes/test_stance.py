@@ -37,6 +37,7 @@ def test_the_sonar_of_a_place_is_so_high_and_looks_so_far_down(mount: tuple[str,
     assert np.array(actual) == pytest.approx(np.array([(1.2, 20.0)] * 2), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_height_and_tilt_are_drawn_for_each_frame_and_once_for_a_recording() -> None:
     drawn = ("sonar.altitude_m={uniform: [0.8, 1.6]}", "sonar.tilt_deg={choice: [15, 25, 35]}")
     apart = poses(compose_config([*PLACE[:4], *drawn, "scenes.frames_per_location=3"]))
