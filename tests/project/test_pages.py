@@ -96,6 +96,7 @@ def test_step_runs(step: Step, folder: Path, capfd: pytest.CaptureFixture[str]) 
     assert code == 0, f"{step.page}:{step.line}: {step.text}\n{said[-4000:]}"
 
 
+@pytest.mark.slow
 def test_both_profiles_of_the_demo_show_the_same_frames(folder: Path) -> None:
     """README.md has made it."""
     tables = []
