@@ -6,10 +6,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from ...common.workers import template
 from ..cli import PRELOADED, run_app
+from ..cli.extras import install_command
 from ..cli.hydra_loader import config_folder_words
 
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
@@ -43,10 +45,16 @@ def _makes_here(words: Sequence[str]) -> bool:
 
 
 def demo(words: Sequence[str]) -> int:
-    """Make the paper's points, then the sonar equation; the exit code of the first that failed."""
+    """Make the paper's points, then the sonar equation; the exit code of the first that failed.
+
+    An install of the core alone makes the points, and says what the others need.
+    """
     code = main(["experiment=demo", *words])
     if code or not all(word.startswith(_OF_BOTH) for word in words):
         return code
+    if find_spec("scipy") is None:
+        print(f"the images of the sonar equation, too: {install_command('sonar')}")
+        return 0
     folders = [word.removeprefix(_FOLDER) for word in words if word.startswith(_FOLDER)]
     points = folders[-1] if folders else "outputs/demo"
     physical = f"{points.rstrip('/')}-physical"
