@@ -234,6 +234,8 @@ said(f"cache pack {made} --out views.pack", 0, "2 frames")
 said("cache clear cache.dir=cache", 0)
 said(f"demo {made.replace('made', 'again')} scenes.first_location=9", 0)
 said("merge made again --out both", 0)
+points = f"render=analytic {small} scheduler=serial cache.dir=cache dataset.dir=points"
+said(f"demo {points}", 0, 'pip install "simnfnd[sonar]"')
 open("film.avi", "wb").close()
 said("preview film.avi --out x.png", 2, 'film.avi needs cv2: pip install "simnfnd[sonar]"')
 said("view .", 2, 'needs cv2: pip install "simnfnd[sonar]"')
