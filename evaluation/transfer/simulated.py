@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +98,7 @@ def _read_images(
     label_of = np.array([classes.index(n) if n in classes else -1 for n in known], np.int64)
     step = 1 if limit is None else max(1, len(pairs) // limit)
     numbers = range(0, len(pairs), step)[:limit]
+    shadow_labels = {n for n, name in enumerate(classes) if name in rules.with_shadow}
     records = pairs.meta()
     images = []
     for number in numbers:
@@ -110,7 +111,6 @@ def _read_images(
             if min(shown.box.width, shown.box.height) >= rules.min_side * longer_px
         ]
         objects = _visible(objects, records[number], rules.min_visibility_db)
-        shadow_labels = {n for n, name in enumerate(classes) if name in rules.with_shadow}
         if any(shown.label in shadow_labels for shown in objects):
             objects = _with_shadows(objects, shadow_labels, pairs, records[number])
         boxes = np.array([shown.box.corners for shown in objects], np.float32).reshape(-1, 4)
@@ -176,8 +176,8 @@ def _with_shadows(
     height, width = pairs.shape
     extended = []
     for shown in objects:
-        box = shown.box
         if shown.label in labels and shown.number in places:
-            box = box_with_shadow(box, places[shown.number], geometry, (height, width))
-        extended.append(_SimulatedObject(shown.number, shown.label, box))
+            box = box_with_shadow(shown.box, places[shown.number], geometry, (height, width))
+            shown = replace(shown, box=box)
+        extended.append(shown)
     return extended

@@ -287,10 +287,7 @@ def _weighted_mean(
     if frame.ndim == 3:
         means = []
         for channel in range(frame.shape[2]):
-            of_channel = [
-                replace(neighbour, levels=_channel(neighbour.levels, channel))
-                for neighbour in neighbours
-            ]
+            of_channel = _in_channel(neighbours, channel)
             mean, frame_count = _weighted_mean(
                 _channel(frame, channel), frame_weight, of_channel, weights
             )
@@ -355,10 +352,7 @@ def _mean_target(
     if frame.ndim == 3:
         planes = []
         for channel in range(frame.shape[2]):
-            of_channel = [
-                replace(neighbour, levels=_channel(neighbour.levels, channel))
-                for neighbour in neighbours
-            ]
+            of_channel = _in_channel(neighbours, channel)
             of_frame = _channel(frame, channel), _channel(scene, channel)
             planes.append(_mean_target(*of_frame, gate, of_channel, targets))
         return np.stack(planes, axis=-1)
@@ -381,6 +375,13 @@ def _mean_target(
             *factors(frame.shape),
         )
     return total / np.float32(len(near) + 1)
+
+
+def _in_channel(neighbours: Sequence[Neighbour], index: int) -> list[Neighbour]:
+    """Neighbours with the levels of one channel of their colour."""
+    return [
+        replace(neighbour, levels=_channel(neighbour.levels, index)) for neighbour in neighbours
+    ]
 
 
 def _channel(levels: Array, index: int) -> Array:

@@ -152,7 +152,11 @@ def _is_cut(look: _Look, later: list[_Look], kind: Kind) -> bool:
 
     What was measured on one of both says nothing of the other.
     """
-    alike = [other for other in later if difference(other.thumbnail, look.thumbnail) < _CUT]
+    alike = [
+        later_look
+        for later_look in later
+        if difference(later_look.thumbnail, look.thumbnail) < _CUT
+    ]
     return len(alike) >= _LEAST_BEHIND_CUT and all(
         difference(frame.thumbnail, kind.thumbnail) > _CUT for frame in (look, *alike)
     )

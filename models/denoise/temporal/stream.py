@@ -299,7 +299,7 @@ class InTime:
         """A frame that is in memory, grey and reduced."""
         if number not in self._reduced:
             self._reduced = {
-                other: plane for other, plane in self._reduced.items() if other in self._shots
+                kept: plane for kept, plane in self._reduced.items() if kept in self._shots
             }
             self._reduced[number] = reduced(grey_of(self._shots[number].levels))
         return self._reduced[number]
