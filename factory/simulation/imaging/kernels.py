@@ -271,6 +271,101 @@ def _project_row(
         value[column] = radiance[column] * square * np.sqrt(square)
 
 
+@compiled()
+def _beam_at(bearing: Any, first_bearing: Any, beam_table: Any) -> Any:
+    """The beam in which the sine of a bearing lies, which must lie in the sector.
+
+    beam_table: (beams + 1,) sines of the edges; the beam to begin with at equal steps of the sine;
+    steps a sine; last of the steps.
+    """
+    edges, first_beam, steps_per_sine, last_step = beam_table
+    beam = first_beam[_bounded((bearing - first_bearing) * steps_per_sine, last_step)]
+    while bearing >= edges[beam + 1]:
+        beam += 1
+    return beam
+
+
+@compiled()
+def _fill_two_bins(pixel: Any, value: Any, in_beam: Any, span: Any, beam: Any, bins: Any) -> None:
+    """Add the echo of a pixel that covers one range bin, or parts of two; most do.
+
+    value: its power.  in_beam: whether the beam's opening holds it.
+    span: nearest and farthest range bin with fractions.  beam: its number, and how many there are.
+    bins: see `place_scatterers`.
+    """
+    near, far = span
+    number, beams = beam
+    power, owner, fills_bin = bins
+    last_row = np.float32(power.shape[0] // beams - 1)
+    first = _bounded(near, last_row)
+    last = _bounded(far, last_row)
+    inside = min((np.float32(last) - near) / max(far - near, _TINY), _ONE)
+    share = inside if last > first else _ONE
+    nearest = first * beams + number
+    power[last * beams + number] += value * (_ONE - share)
+    power[nearest] += value * share
+    owner[nearest] = pixel
+    if in_beam:
+        fills_bin[nearest] = True
+
+
+@compiled()
+def _fill_bins(
+    pixel: Any, value: Any, in_beam: Any, ends: Any, tilt: Any, beam: Any, bins: Any
+) -> None:
+    """Add the echo of a pixel that covers several range bins, each in its share.
+
+    ends: range bin with its fraction at the pixel and at the one below.  tilt: see `_share_before`.
+    value, in_beam, beam, bins: see `_fill_two_bins`.
+    """
+    start, end = ends
+    number, beams = beam
+    power, owner, fills_bin = bins
+    rows = power.shape[0] // beams
+    near = min(start, end)
+    far = max(start, end)
+    per_row = _ONE / (end - start) if end != start else _ZERO
+    for row in range(int(max(near, _ZERO)), min(int(far), rows - 1) + 1):
+        first_part = (max(near, np.float32(row)) - start) * per_row
+        last_part = (min(far, np.float32(row + 1)) - start) * per_row
+        share = _share_before(last_part, tilt) - _share_before(first_part, tilt)
+        flat_bin = row * beams + number
+        power[flat_bin] += value * abs(share)
+        owner[flat_bin] = pixel
+        fills_bin[flat_bin] |= in_beam
+
+
+@compiled()
+def _spread(
+    pixel: Any, value: Any, ends: Any, tilt: Any, beam: Any, rows: Any, many: Any, first: Any,
+    scatterers: Any,
+) -> Any:  # fmt: skip
+    """Write a pixel's power as `many` scatterers, evenly between its ends; returns the next index.
+
+    Each lies at the same fraction of its part, which belongs to the pixel.
+    rows: range bins; what lies outside of them is left out.  first: index of the first scatterer.
+    ends, tilt, beam: see `_fill_bins`.  scatterers: see `place_scatterers`.
+    """
+    bin_of, power_of, pixel_of, part_of = scatterers
+    start, end = ends
+    beam_number, beams = beam
+    chance = _chance_of(pixel)
+    index = first
+    for number in range(many):
+        part = (np.float32(number) + chance) / np.float32(many)
+        row = int(np.floor(start + part * (end - start)))
+        if 0 <= row < rows:
+            first_part = np.float32(number) / np.float32(many)
+            last_part = np.float32(number + 1) / np.float32(many)
+            share = _share_before(last_part, tilt) - _share_before(first_part, tilt)
+            bin_of[index] = row * beams + beam_number
+            power_of[index] = value * share
+            pixel_of[index] = pixel
+            part_of[index] = part if end != start else _ZERO
+            index += 1
+    return index
+
+
 @compiled(
     f"int64({_CAMERA}, {_MATRIX}, Array(uint8, 2, 'C', readonly=True), {_MATRIX}, float32[::1],"
     f" Tuple((float32[:, ::1], float32[::1])), {_GRID}, float32[::1], float32,"
@@ -305,19 +400,15 @@ def place_scatterers(
     ground_range, from_m, per_m, rows, edges, first_beam, per_sine = grid
     near_m = np.float32(from_m)
     bins_per_m = np.float32(per_m)
-    beam_scale = np.float32(per_sine)
-    power, owner, in_beam = bins
-    bin_of, power_of, pixel_of, part_of = scatterers
     height, width = depth_m.shape
     beams = edges.shape[0] - 1
     low = edges[0]
     high = edges[beams]
-    most_guess = np.float32(first_beam.shape[0] - 1)
+    beam_table = (edges, first_beam, np.float32(per_sine), np.float32(first_beam.shape[0] - 1))
     half_steps = np.float32(0.5 * (pattern.shape[0] - 1))
     last_step = np.float32(pattern.shape[0] - 2)
     last_label = reflectivity.shape[0] - 1
     beyond = np.float32(rows)
-    last_row = np.float32(rows - 1)
     ground_up = rotation[2] if ground_range else np.zeros(3, np.float32)
     row_columns = np.empty((2, 4, width), np.float32)
     count = 0
@@ -335,76 +426,49 @@ def place_scatterers(
         for column in range(width):
             value = values[column]
             bearing = bearings[column]
-            z = depth_m[row, column]
             if not (value > _ZERO and low <= bearing and bearing < high):
                 continue
-            start = end = starts[column]
+
+            # The ranges that the pixel covers.
+            z = depth_m[row, column]
             z_below = depth_m[under, column]
             step_m = z_below - z
             step_above_m = z - depth_m[max(row - 1, 0), column]
             step_below_m = depth_m[min(row + 2, height - 1), column] - z_below
+            start = end = starts[column]
             if _is_one_surface(min(z, z_below), step_m, step_above_m, step_below_m):
                 end = below[column]
             near = min(start, end)
             far = max(start, end)
             if not (far >= _ZERO and near < beyond):
                 continue
-            beam = first_beam[_bounded((bearing - low) * beam_scale, most_guess)]
-            while bearing >= edges[beam + 1]:
-                beam += 1
-            central = abs(sines[column]) <= widest_sine
+
+            # Its beam, and its power through the beam's pattern.
+            beam = (_beam_at(bearing, low, beam_table), beams)
+            in_beam = abs(sines[column]) <= widest_sine
             value *= _interpolated(pattern, (sines[column] + _ONE) * half_steps, last_step)
             label = np.int64(labels[row, column]) if labels.shape[0] else 0
             value *= reflectivity[min(label, last_label)]
             if factor.shape[0]:
                 value *= factor[row, column]
+
             pixel = row * width + column
+            ends = (start, end)
             span = far - near
-            chance = _chance_of(pixel)
             if span <= _ONE and near >= _ZERO and far < beyond:
-                # Most pixels: one bin, or parts of two.
-                first = _bounded(near, last_row)
-                last = _bounded(far, last_row)
-                inside = min((np.float32(last) - near) / max(span, _TINY), _ONE)
-                share = inside if last > first else _ONE
-                nearest = first * beams + beam
-                power[last * beams + beam] += value * (_ONE - share)
-                power[nearest] += value * share
-                owner[nearest] = pixel
-                if central:
-                    in_beam[nearest] = True
-                bin_of[count] = _bounded(start + chance * (end - start), last_row) * beams + beam
-                power_of[count] = value
-                pixel_of[count] = pixel
-                part_of[count] = chance if end != start else _ZERO
-                count += 1
-                continue
-            tilt = _density_tilt(
-                values[column], value_below[column], step_m, step_above_m, step_below_m
-            )
-            per_row = _ONE / (end - start) if end != start else _ZERO
-            for bin_row in range(int(max(near, _ZERO)), min(int(far), rows - 1) + 1):
-                first_part = (max(near, np.float32(bin_row)) - start) * per_row
-                last_part = (min(far, np.float32(bin_row + 1)) - start) * per_row
-                inside = _share_before(last_part, tilt) - _share_before(first_part, tilt)
-                power[bin_row * beams + beam] += value * abs(inside)
-                owner[bin_row * beams + beam] = pixel
-                in_beam[bin_row * beams + beam] |= central
-            many = max(min(int(np.ceil(span)), _MOST_PARTS), 1)
-            if count + many + (height - row) * width > bin_of.shape[0]:
+                _fill_two_bins(pixel, value, in_beam, (near, far), beam, bins)
+                tilt = _ZERO
                 many = 1
-            for number in range(many):
-                part = (np.float32(number) + chance) / np.float32(many)
-                bin_row = int(np.floor(start + part * (end - start)))
-                if 0 <= bin_row < rows:
-                    bin_of[count] = bin_row * beams + beam
-                    first_part = np.float32(number) / np.float32(many)
-                    last_part = np.float32(number + 1) / np.float32(many)
-                    share = _share_before(last_part, tilt) - _share_before(first_part, tilt)
-                    power_of[count] = value * share
-                    pixel_of[count] = pixel
-                    part_of[count] = part if end != start else _ZERO
-                    count += 1
+            else:
+                tilt = _density_tilt(
+                    values[column], value_below[column], step_m, step_above_m, step_below_m
+                )
+                _fill_bins(pixel, value, in_beam, ends, tilt, beam, bins)
+                many = max(min(int(np.ceil(span)), _MOST_PARTS), 1)
+                # Each pixel still to come must find room for one.
+                if count + many + (height - row) * width > scatterers[0].shape[0]:
+                    many = 1
+            count = _spread(pixel, value, ends, tilt, beam, rows, many, count, scatterers)
         row_end[row] = count
     return count
 

@@ -62,11 +62,63 @@ def in_camera_axes(point: Any, eye: Any, axes: Any) -> Any:
     )
 
 
+@compiled()
+def _pixel_box(first: Any, second: Any, third: Any, width: Any, height: Any) -> Any:
+    """First and last column, first and last row of the pixels inside the box of three corners.
+
+    The corners are columns and rows with fractions.  Without any pixel the first exceeds the last.
+    """
+    left = min(first[0], second[0], third[0])
+    right = max(first[0], second[0], third[0])
+    top = min(first[1], second[1], third[1])
+    bottom = max(first[1], second[1], third[1])
+    # Asked before rounding, for what lies far outside exceeds the whole numbers.
+    if left > width - 1 or right < 0 or top > height - 1 or bottom < 0:
+        return 1, 0, 1, 0
+    return (
+        max(int(np.ceil(left)), 0),
+        min(int(np.floor(right)), width - 1),
+        max(int(np.ceil(top)), 0),
+        min(int(np.floor(bottom)), height - 1),
+    )
+
+
+@compiled()
+def _is_beside_image(first: Any, second: Any, third: Any, slopes: Any) -> Any:
+    """Whether three corners in camera axes lie beyond one side of the image, all of them.
+
+    slopes: across over ahead at the left and right border, down over ahead at the top and bottom.
+    """
+    left, right, top, bottom = slopes
+    ax, ay, az = first
+    bx, by, bz = second
+    cx, cy, cz = third
+    return (
+        (ax < left * az and bx < left * bz and cx < left * cz)
+        or (ax > right * az and bx > right * bz and cx > right * cz)
+        or (ay < top * az and by < top * bz and cy < top * cz)
+        or (ay > bottom * az and by > bottom * bz and cy > bottom * cz)
+    )
+
+
+@compiled()
+def _cross(first: Any, second: Any) -> Any:
+    """The cross product of two vectors."""
+    return (
+        first[1] * second[2] - second[1] * first[2],
+        first[2] * second[0] - second[2] * first[0],
+        first[0] * second[1] - second[0] * first[1],
+    )
+
+
 @compiled(f"void({_ROWS}, {_WHOLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
 def rasterise_mesh(
     points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, planes: Any
 ) -> None:
     """Paint parts of a mesh into the image of a camera; triangle numbers begin at `offset`.
+
+    A pixel's ray meets a triangle where its three barycentric weights are not negative; they are
+    linear in the ray, and their sum is one over the depth (Olano and Greer 1997).
 
     parts: (N, 4) first point, first triangle and the ends of both.  camera: eye (3,), axes (3, 3)
     world from camera, lens (4,) fx, fy, cx, cy.  planes: (H, W) one over the depth along the
@@ -81,10 +133,12 @@ def rasterise_mesh(
     middle_y = lens[3]
     step_x = 1 / fx
     step_y = 1 / fy
-    left_slope = -middle_x * step_x
-    right_slope = (width - 1 - middle_x) * step_x
-    top_slope = -middle_y * step_y
-    bottom_slope = (height - 1 - middle_y) * step_y
+    slopes = (
+        -middle_x * step_x,
+        (width - 1 - middle_x) * step_x,
+        -middle_y * step_y,
+        (height - 1 - middle_y) * step_y,
+    )
     across_by_column = (np.arange(width) - middle_x) * step_x
     placed = np.empty((len(points), 3), np.float64)  # in camera axes
     pixels = np.empty((len(points), 2), np.float32)  # column and row
@@ -101,54 +155,32 @@ def rasterise_mesh(
             a = _U(triangles[k, 0])
             b = _U(triangles[k, 1])
             c = _U(triangles[k, 2])
-            az = placed[a, 2]
-            bz = placed[b, 2]
-            cz = placed[c, 2]
-            if min(az, bz, cz) > _NEAR_M:
-                left = min(pixels[a, 0], pixels[b, 0], pixels[c, 0])
-                right = max(pixels[a, 0], pixels[b, 0], pixels[c, 0])
-                top = min(pixels[a, 1], pixels[b, 1], pixels[c, 1])
-                bottom = max(pixels[a, 1], pixels[b, 1], pixels[c, 1])
-                if left > width - 1 or right < 0 or top > height - 1 or bottom < 0:
-                    continue
-                first = max(int(np.ceil(left)), 0)
-                last = min(int(np.floor(right)), width - 1)
-                upper = max(int(np.ceil(top)), 0)
-                lower = min(int(np.floor(bottom)), height - 1)
+            first_corner = (placed[a, 0], placed[a, 1], placed[a, 2])
+            second_corner = (placed[b, 0], placed[b, 1], placed[b, 2])
+            third_corner = (placed[c, 0], placed[c, 1], placed[c, 2])
+            if max(first_corner[2], second_corner[2], third_corner[2]) <= _NEAR_M:
+                continue
+            first = 0
+            last = width - 1
+            upper = 0
+            lower = height - 1
+            if min(first_corner[2], second_corner[2], third_corner[2]) > _NEAR_M:
+                first, last, upper, lower = _pixel_box(
+                    pixels[a], pixels[b], pixels[c], width, height
+                )
                 if first > last or upper > lower:
                     continue
-            elif max(az, bz, cz) <= _NEAR_M:
-                continue
-            else:
-                first = 0
-                last = width - 1
-                upper = 0
-                lower = height - 1
-            ax = placed[a, 0]
-            bx = placed[b, 0]
-            cx = placed[c, 0]
-            ay = placed[a, 1]
-            by = placed[b, 1]
-            cy = placed[c, 1]
-            if last - first == width - 1 and (
-                (ax < left_slope * az and bx < left_slope * bz and cx < left_slope * cz)
-                or (ax > right_slope * az and bx > right_slope * bz and cx > right_slope * cz)
-                or (ay < top_slope * az and by < top_slope * bz and cy < top_slope * cz)
-                or (ay > bottom_slope * az and by > bottom_slope * bz and cy > bottom_slope * cz)
+            # A triangle that reaches behind the lens may still lie beside the image.
+            if last - first == width - 1 and _is_beside_image(
+                first_corner, second_corner, third_corner, slopes
             ):
-                continue  # it reaches behind the lens, but beside the image
-            ux = by * cz - bz * cy
-            uy = bz * cx - bx * cz
-            uz = bx * cy - by * cx
-            volume = ax * ux + ay * uy + az * uz
+                continue
+            ux, uy, uz = _cross(second_corner, third_corner)
+            volume = first_corner[0] * ux + first_corner[1] * uy + first_corner[2] * uz
             if volume == 0:
                 continue
-            vx = cy * az - cz * ay
-            vy = cz * ax - cx * az
-            vz = cx * ay - cy * ax
-            wx = ay * bz - az * by
-            wy = az * bx - ax * bz
-            wz = ax * by - ay * bx
+            vx, vy, vz = _cross(third_corner, first_corner)
+            wx, wy, wz = _cross(first_corner, second_corner)
             scale = 1 / volume
             for row in range(upper, lower + 1):
                 y = (row - middle_y) * step_y

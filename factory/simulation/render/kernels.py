@@ -36,6 +36,7 @@ _LEAST_M2 = np.float32(1e-12)
 
 @compiled()
 def _depth_at(depth_m: Any, row: Any, column: Any) -> Any:
+    """Depth of a pixel; 0 beyond the border."""
     if row < 0 or column < 0 or row >= depth_m.shape[0] or column >= depth_m.shape[1]:
         return _ZERO
     return depth_m[row, column]
@@ -43,6 +44,11 @@ def _depth_at(depth_m: Any, row: Any, column: Any) -> Any:
 
 @compiled()
 def _joined(depth_m: Any, at: Any, step_to: Any, limit: Any, small: Any) -> Any:
+    """Whether a pixel and its neighbour show one surface; see `joints`.
+
+    at: row and column of the pixel.  step_to: rows and columns from it to the neighbour.
+    limit, small: parts of the nearer depth from which a step is an edge, up to which it is small.
+    """
     row, column = at
     down, across = step_to
     first = depth_m[row, column]
@@ -105,6 +111,14 @@ def _normals(grid: Any, row: Any, out: Any) -> None:
     grid: see `orient`.  row: without the border.
     out: (6, W); the first three get the normals, the others are for intermediate tangents.
     """
+    _cross_tangents(grid, row, out)
+    _face_camera(grid, row, out)
+    _to_unit_length(out)
+
+
+@compiled()
+def _cross_tangents(grid: Any, row: Any, out: Any) -> None:
+    """The cross product and the sum of the two tangents of each pixel of a row; see `_normals`."""
     depth_m, joints, across, down = grid
     depth_of_row = depth_m[row + 1]
     depth_above = depth_m[row]
@@ -137,17 +151,15 @@ def _normals(grid: Any, row: Any, out: Any) -> None:
         left = depth_of_row[k - 1]
         row_x = (np.float32(across[k + 1] * right) - x) * to_right
         row_x += (x - np.float32(across[k - 1] * left)) * to_left
-        row_y = (np.float32(down_of_row * right) - y) * to_right + (
-            y - np.float32(down_of_row * left)
-        ) * to_left
+        row_y = (np.float32(down_of_row * right) - y) * to_right
+        row_y += (y - np.float32(down_of_row * left)) * to_left
         row_z = (right - depth) * to_right + (depth - left) * to_left
 
         # Tangent along the column.
         below = depth_below[k]
         above = depth_above[k]
-        column_x = (np.float32(side * below) - x) * to_below + (
-            x - np.float32(side * above)
-        ) * to_above
+        column_x = (np.float32(side * below) - x) * to_below
+        column_x += (x - np.float32(side * above)) * to_above
         column_y = (np.float32(down_below * below) - y) * to_below
         column_y += (y - np.float32(down_above * above)) * to_above
         column_z = (below - depth) * to_below + (depth - above) * to_above
@@ -158,25 +170,47 @@ def _normals(grid: Any, row: Any, out: Any) -> None:
         tangent_x[column] = row_x + column_x
         tangent_y[column] = row_y + column_y
         tangent_z[column] = row_z + column_z
-    # With one tangent: the part across it of the direction to the camera.
+
+
+@compiled()
+def _face_camera(grid: Any, row: Any, out: Any) -> None:
+    """Fill the normals of pixels with one tangent: the part of the view direction across it."""
+    depth_m, _, across, down = grid
+    depth_of_row = depth_m[row + 1]
+    down_of_row = down[row + 1]
+    normal_x = out[0]
+    normal_y = out[1]
+    normal_z = out[2]
+    tangent_x = out[3]
+    tangent_y = out[4]
+    tangent_z = out[5]
     for column in range(len(normal_x)):
-        if normal_x[column] == 0 and normal_y[column] == 0 and normal_z[column] == 0:
-            length = np.sqrt(
-                tangent_x[column] * tangent_x[column]
-                + tangent_y[column] * tangent_y[column]
-                + tangent_z[column] * tangent_z[column]
-            )
-            if length > 0:
-                depth = depth_of_row[column + 1]
-                x = np.float32(across[column + 1] * depth)
-                y = np.float32(down_of_row * depth)
-                unit_x = tangent_x[column] / length
-                unit_y = tangent_y[column] / length
-                unit_z = tangent_z[column] / length
-                along = x * unit_x + y * unit_y + depth * unit_z
-                normal_x[column] = along * unit_x - x
-                normal_y[column] = along * unit_y - y
-                normal_z[column] = along * unit_z - depth
+        if not (normal_x[column] == 0 and normal_y[column] == 0 and normal_z[column] == 0):
+            continue
+        length = np.sqrt(
+            tangent_x[column] * tangent_x[column]
+            + tangent_y[column] * tangent_y[column]
+            + tangent_z[column] * tangent_z[column]
+        )
+        if length > 0:
+            depth = depth_of_row[column + 1]
+            x = np.float32(across[column + 1] * depth)
+            y = np.float32(down_of_row * depth)
+            unit_x = tangent_x[column] / length
+            unit_y = tangent_y[column] / length
+            unit_z = tangent_z[column] / length
+            along = x * unit_x + y * unit_y + depth * unit_z
+            normal_x[column] = along * unit_x - x
+            normal_y[column] = along * unit_y - y
+            normal_z[column] = along * unit_z - depth
+
+
+@compiled()
+def _to_unit_length(out: Any) -> None:
+    """Divide the vectors of the first three rows of `out` by their lengths; 0 stays 0."""
+    normal_x = out[0]
+    normal_y = out[1]
+    normal_z = out[2]
     for column in range(len(normal_x)):
         length = np.sqrt(
             normal_x[column] * normal_x[column]

@@ -90,6 +90,38 @@ def normals_of_grid(points: Any) -> Any:
     return normals
 
 
+@compiled()
+def _rock_relief(rock_tile: Any, point: Any, normal: Any, offset: Any) -> Any:
+    """Relief of rock at a point, in standard deviations, at two scales.
+
+    The tile is laid on from the three axes and mixed by the fourth powers of the normal, so that
+    it is not stretched on steep walls.
+    """
+    coarse = _ONE / _F(9.1)
+    fine = _ONE / _F(2.3)
+    x_share = normal[0] ** 2
+    y_share = normal[1] ** 2
+    z_share = normal[2] ** 2
+    x_share = x_share * x_share
+    y_share = y_share * y_share
+    z_share = z_share * z_share
+    total = max(x_share + y_share + z_share, _F(1e-12))
+    x_share = x_share / total
+    y_share = y_share / total
+    z_share = z_share / total
+    px = point[0] + offset[0]
+    py = point[1] + offset[0]
+    pz = point[2] + offset[1]
+    qy = point[1] + offset[1]
+    relief = x_share * _tile_at(rock_tile, py, pz, coarse)
+    relief += y_share * _tile_at(rock_tile, px, pz, coarse)
+    relief += z_share * _tile_at(rock_tile, px, qy, coarse)
+    small = x_share * _tile_at(rock_tile, py, pz, fine)
+    small += y_share * _tile_at(rock_tile, px, pz, fine)
+    small += z_share * _tile_at(rock_tile, px, qy, fine)
+    return relief + _F(0.35) * small
+
+
 @compiled(
     f"void({_VECTORS}, {_VECTORS}, UniTuple({_PLANE}, 3), UniTuple({_ROWS}, 2), float32[::1], "
     f"float32[::1], {_VECTORS})"
@@ -108,8 +140,6 @@ def add_relief(
     rock_m = heights[0]
     sand_m = heights[1]
     crest_m = heights[2]
-    coarse = _ONE / _F(9.1)
-    fine = _ONE / _F(2.3)
     sandy = _ONE / _F(6.7)
     pebbly = _ONE / _F(1.7)
     first = offset[0]
@@ -120,34 +150,12 @@ def add_relief(
             normal = normals[row, column]
             x = point[0]
             y = point[1]
-            z = point[2]
             bare = rock[row, column]
             pebbles = gravel[row, column]
             ripple = crest[row, column]
             stone = sand = stones = _ZERO
             if bare > 0:
-                # The tile is laid on from the three axes and mixed by the normal.
-                sx = normal[0] ** 2
-                sy = normal[1] ** 2
-                sz = normal[2] ** 2
-                sx = sx * sx
-                sy = sy * sy
-                sz = sz * sz
-                total = max(sx + sy + sz, _F(1e-12))
-                sx = sx / total
-                sy = sy / total
-                sz = sz / total
-                px = x + first
-                py = y + first
-                pz = z + second
-                qy = y + second
-                stone = sx * _tile_at(rock_tile, py, pz, coarse)
-                stone += sy * _tile_at(rock_tile, px, pz, coarse)
-                stone += sz * _tile_at(rock_tile, px, qy, coarse)
-                small = sx * _tile_at(rock_tile, py, pz, fine)
-                small += sy * _tile_at(rock_tile, px, pz, fine)
-                small += sz * _tile_at(rock_tile, px, qy, fine)
-                stone += _F(0.35) * small
+                stone = _rock_relief(rock_tile, point, normal, offset)
             loose = _ONE - bare
             if loose != 0:
                 sand = _tile_at(sand_tile, x + first, y + second, sandy)
@@ -312,30 +320,65 @@ def _is_shaded(point: Any, sun_sight: Any, sun_inverse: Any) -> Any:
     return inverse > 0 and _ONE / inverse < distance_m - _SHADE_M
 
 
+@compiled()
+def _light(point: Any, normal: Any, slope: Any, sun: Any) -> Any:
+    """Light on a surface: from the sun's direction, and from the sky above.
+
+    The sun by the cosine of a rough surface, unless an object is in between.
+    slope: of the finest relief.  sun: see `shade_pixels`.
+    """
+    direction, sun_sight, sun_inverse = sun
+    sunlight = normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]
+    sunlight = max(sunlight + _HALF * slope, _ZERO)
+    if _is_shaded(point, sun_sight, sun_inverse):
+        sunlight = _ZERO
+    skylight = (_F(0.55) + _F(0.45) * normal[2]) * (_ONE + _HALF * slope)
+    return sunlight, skylight
+
+
+@compiled()
+def _albedo(palette: Any, channel: int, own: Any, on_ground: Any, shades: Any, shares: Any) -> Any:
+    """Albedo of a surface in one colour channel: loose and firm parts, algae, crust.
+
+    palette: see `terrain.Look`.  own: the object's own colour; the ground has that of rock.
+    shades, shares: see `_ground`.
+    """
+    sand_shade, gravel_shade, firm_shade = shades
+    gravel, share, grown, crust = shares
+    loose = palette[0, channel] * sand_shade
+    loose += gravel * (palette[1, channel] * gravel_shade - loose)
+    firm = palette[2, channel] if on_ground else own
+    firm += grown * (palette[3, channel] - firm)
+    firm = (firm + crust * (palette[4, channel] - firm)) * firm_shade
+    # `share` is that of rock among loose ground, or of sand lying on an object.
+    under, over = (loose, firm) if on_ground else (firm, loose)
+    return min(max(under + share * (over - under), _F(0.01)), _F(0.95))
+
+
 @compiled(
-    f"{_VECTORS}({_MESH}, {_MESH}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, float32, "
-    f"float32[::1], {_WHOLES}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE})"
+    f"{_VECTORS}(Tuple(({_MESH}, {_MESH}, {_OWNERS}, {_ROWS})), Tuple(({_SIGHT}, {_SEEN})), "
+    f"Tuple(({_ROWS}, float32, {_ROWS})), Tuple((float32[::1], {_WHOLES})), "
+    f"Tuple((float32[::1], {_SIGHT}, {_PLANE})))"
 )
-def shade_pixels(
-    ground: Any, things: Any, owners: Any, finishes: Any, sight: Any, planes: Any, palette: Any,
-    turf: Any, offset: Any, texture: Any, water: Any, sun: Any, sun_sight: Any, sun_inverse: Any,
-) -> Any:  # fmt: skip
+def shade_pixels(solids: Any, camera: Any, look: Any, tile: Any, sun: Any) -> Any:
     """(h, w, 3) linear colour of every second pixel and row, from what a z-buffer met.
 
-    All arrays are float32 where nothing else is said.
+    All arrays are float32 where nothing else is said; arguments are tuples.
 
-    ground, things: meshes: points (V, 3), normals (V, 3), attributes (ground) or colours (things)
-        (V, 3), and triangles (T, 3) int32.
-    owners: (T,) uint16, the object that each triangle of `things` belongs to.
-    finishes: (N, 3) fouling, silt and bump of each object.
-    sight: of the camera: eye (3,), axes (3, 3) and lens (4,).
-    planes: of its z-buffer; see `rasterise_mesh`.
-    palette, turf, water, sun: see `terrain.Look`.
-    offset: (2,) metres, where the texture begins.  texture: see `terrain.tiles`.
-    sun_sight, sun_inverse: a camera in the sun, and its (S, S) z-buffer of the objects.
+    solids: ground and things, a mesh each: points (V, 3), normals (V, 3), attributes (ground) or
+        colours (things) (V, 3), and triangles (T, 3) int32; (T,) uint16, the object that each
+        triangle of the things belongs to; (N, 3) fouling, silt and bump of each object.
+    camera: its sight (eye (3,), axes (3, 3), lens (4,)) and its z-buffer, see `rasterise_mesh`.
+    look: palette, turf and water, see `terrain.Look`.
+    tile: (2,) metres where the texture begins, and the texture, see `terrain.tiles`.
+    sun: (3,) direction to it; sight and (S, S) z-buffer of a camera in the sun that sees the
+        objects alone.
     """
-    eye, axes, lens = sight
-    inverse, which = planes
+    ground, things, owners, finishes = solids
+    (eye, axes, lens), (inverse, which) = camera
+    palette, turf, water = look
+    offset, texture = tile
+    absorption, open_water, sun_colour, sky_colour = water[0], water[1], water[2], water[3]
     height, width = which.shape
     colour = np.empty(((height + 1) // 2, (width + 1) // 2, 3), np.float32)
     for i in range(colour.shape[0]):
@@ -346,7 +389,7 @@ def shade_pixels(
             number = which[row, column]
             if number < 0:
                 for k in range(3):
-                    colour[i, j, k] = water[1, k]
+                    colour[i, j, k] = open_water[k]
                 continue
             depth = _ONE / inverse[row, column]
             x0 = (_F(column) - lens[2]) / lens[0]
@@ -363,40 +406,29 @@ def shade_pixels(
                 nx = -nx
                 ny = -ny
                 nz = -nz
+            normal = (nx, ny, nz)
             point = (eye[0] + depth * x, eye[1] + depth * y, eye[2] + depth * z)
-            across, along = _on_texture(point, (nx, ny, nz), row, column, offset)
+
+            across, along = _on_texture(point, normal, row, column, offset)
             noise = _noise(texture, across, along, _F(1 / TEXTURE_M), _ONE)
-            # It is finer than a pixel from a few metres on, and varies the less.
+            # Finer than a pixel beyond a few metres, the detail varies less and would only
+            # sparkle: it fades out with distance.
             detail = _noise(texture, across, along, _F(1 / FINE_M), _F(0.55))
-            # Detail that is finer than a pixel would only sparkle: fade it out with distance.
             close = min(max(_F(1.25) - depth * _F(1 / 9), _ZERO), _ONE)
             if on_ground:
                 shades, shares, rough = _ground(noise, detail, close, surface, turf)
             else:
                 finish = finishes[owners[number]]
                 shades, shares, rough = _thing(noise, detail, close, nz, finish)
-            # Light: the sun by the cosine of a rough surface unless an object is in between, and
-            # the sky from above.
-            shine = nx * sun[0] + ny * sun[1] + nz * sun[2]
+
             slope = detail[1] * rough * (_F(0.25) + _F(0.75) * close)
-            shine = max(shine + _HALF * slope, _ZERO)
-            if _is_shaded(point, sun_sight, sun_inverse):
-                shine = _ZERO
-            sky = (_F(0.55) + _F(0.45) * nz) * (_ONE + _HALF * slope)
+            sunlight, skylight = _light(point, normal, slope, sun)
             range_m = depth * np.sqrt(_ONE + x0 * x0 + y0 * y0)
-            sand_shade, gravel_shade, shade = shades
-            gravel, share, grown, crust = shares
             for k in range(3):
-                loose = palette[0, k] * sand_shade
-                loose += gravel * (palette[1, k] * gravel_shade - loose)
-                firm = palette[2, k] if on_ground else surface[k]
-                firm += grown * (palette[3, k] - firm)
-                firm = (firm + crust * (palette[4, k] - firm)) * shade
-                under, over = (loose, firm) if on_ground else (firm, loose)
-                tint = min(max(under + share * (over - under), _F(0.01)), _F(0.95))
-                haze = water[1, k]
-                lit = tint * (shine * water[2, k] + sky * water[3, k])
-                colour[i, j, k] = haze + (lit - haze) * exponential(-water[0, k] * range_m)
+                albedo = _albedo(palette, k, surface[k], on_ground, shades, shares)
+                lit = albedo * (sunlight * sun_colour[k] + skylight * sky_colour[k])
+                clarity = exponential(-absorption[k] * range_m)
+                colour[i, j, k] = open_water[k] + (lit - open_water[k]) * clarity
     return colour
 
 

@@ -121,15 +121,22 @@ def camera_image(world: SeabedWorld, ground: Ground, z_buffer: ZBuffer, exposure
     look = world.look
     objects = world.objects
     sun = sunlit(world, z_buffer.viewpoint)
-    sights = [tuple(part.astype(np.float32) for part in buffer.sight) for buffer in (z_buffer, sun)]
+    camera_sight, sun_sight = (
+        tuple(part.astype(np.float32) for part in buffer.sight) for buffer in (z_buffer, sun)
+    )
+    ground_mesh = (
+        *(part.reshape(-1, 3) for part in ground),
+        grid_triangles(*ground.points.shape[:2]),
+    )
+    mesh = objects.mesh
+    things_mesh = (mesh.vertices, objects.normals, mesh.colours, mesh.triangles)
     colour = kernels.shade_pixels(
-        (*(part.reshape(-1, 3) for part in ground), grid_triangles(*ground.points.shape[:2])),
-        (objects.mesh.vertices, objects.normals, objects.mesh.colours, objects.mesh.triangles),
-        objects.owner, world.finishes, sights[0], (z_buffer.inverse, z_buffer.which),
-        look.palette, np.float32(look.turf), world.terrain.offset_m,
-        tiles().texture, look.water, look.sun_direction.astype(np.float32),
-        sights[1], sun.inverse,
-    )  # fmt: skip
+        (ground_mesh, things_mesh, objects.owner, world.finishes),
+        (camera_sight, (z_buffer.inverse, z_buffer.which)),
+        (look.palette, np.float32(look.turf), look.water),
+        (world.terrain.offset_m, tiles().texture),
+        (look.sun_direction.astype(np.float32), sun_sight, sun.inverse),
+    )
     # The camera sets its black level to the uniform part of the haze, and lets the
     # bright parts of the image fill most of the scale, whatever the water.
     sampled = colour[::4, ::4]
