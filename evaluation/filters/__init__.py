@@ -29,9 +29,7 @@ from .classical import (
     total_variation,
     wavelet,
 )
-from .rivals.dual_tree import dual_tree
 from .rivals.lpmsde import lpmsde
-from .rivals.sar2sar import sar2sar
 
 # Side of the image that methods of other packages are tried on, pixels.
 _TRIAL_SIDE = 48
@@ -120,12 +118,6 @@ _RIVALS = (
     Baseline("lpmsde", lpmsde, {"strength": 1.0, "levels": 3},
              {"strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1000.0), "levels": (1, 2, 3, 4, 5)},
              "IEEE Access 2023, 3335372, after the abstract"),
-    Baseline("dual_tree", dual_tree, {"strength": 1.0, "levels": 5},
-             {"strength": (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 1000.0), "levels": (1, 2, 3, 5, 8)},
-             "Isar, Moga and Isar 2009, from the paper"),
-    Baseline("sar2sar", sar2sar, {"amplitude": 300.0},
-             {"amplitude": (30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0)},
-             "Dalsasso et al. 2021 (deepdespeckling), for radar"),
 )  # fmt: skip
 
 REGISTRY: dict[str, Baseline] = {filter_.name: filter_ for filter_ in (*_FILTERS, *_RIVALS)}
@@ -135,7 +127,7 @@ GROUPS = {
     "all": tuple(filter_.name for filter_ in _FILTERS),
     "rivals": tuple(filter_.name for filter_ in _RIVALS),
 }
-"""Names that stand for several filters.  Rivals are slow and need what few users have installed."""
+"""Names that stand for several filters."""
 
 
 def register_method(method: Baseline) -> None:

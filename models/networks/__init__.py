@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 NETWORKS = {"nafnet": "NAFNet", "restormer": "Restormer", "sonarnet": "SonarNet"}
 """kind, which is a module here -> its network, beside which lie `<network>Settings`; torch is
 imported only when one is built."""
-RIVALS = {"log_residual": "LogResidual", "sid_tgan": "SIDTGAN"}
+RIVALS = {"sid_tgan": "SIDTGAN"}
 """The same of the modules in `rivals`."""
 
 GEOMETRY = ("range_fraction", "azimuth_rad", "sector")

@@ -45,13 +45,6 @@ class Network(nn.Module):
         """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         raise NotImplementedError
 
-    def own_loss(self, noisy: Tensor, progress: float) -> Tensor | None:
-        """The loss of a network that learns from noisy images alone, scalar; else None.
-
-        progress: of the training, 0 to 1.
-        """
-        return None
-
     def with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """The image with its whole change, not weighed as by `forward`, and the heads' output."""
         raise NotImplementedError

@@ -19,15 +19,8 @@ def training_loss(
     *,
     teacher: Network | None = None,
     opponent: Opponent | None = None,
-    progress: float = 0.0,
 ) -> Tensor:
-    """The loss of a batch by whatever the network is trained with.
-
-    progress: of the training, 0 to 1.
-    """
-    own_loss = network.own_loss(batch["noisy"], progress)
-    if own_loss is not None:
-        return own_loss
+    """The loss of a batch by whatever the network is trained with."""
     if opponent is None:
         return taught_loss(network, batch, loss, teacher)
     assert isinstance(network, AdversarialNetwork)

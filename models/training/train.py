@@ -160,7 +160,6 @@ class Training:
             self._loss,
             teacher=self._teacher,
             opponent=self._opponent,
-            progress=self._loop.step / self._settings.train.steps,
         )
 
     def _save(self) -> None:

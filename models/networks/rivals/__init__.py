@@ -1,6 +1,6 @@
 """Networks by other authors, one file each, to be compared with.
 
-Most are written after abstracts and are **no reproductions**: sizes, and all that an abstract
+They are written after abstracts and are **no reproductions**: sizes, and all that an abstract
 leaves open, are ours.  What their authors report cannot be checked here.
 """
 

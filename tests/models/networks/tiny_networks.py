@@ -10,10 +10,6 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 
 TINY: dict[str, dict[str, Any]] = {
-    "log_residual": {
-        **{"width": 8, "blocks": 1, "variance": 0.1175},
-        **{"statistics": 0.4, "structure": 0.15, "median": 0.3},
-    },
     "sid_tgan": {
         **{"width": 4, "blocks": 1, "heads": 2, "critic_width": 4},
         **{"style": 1.0, "similarity": 0.1, "adversarial": 0.005},

@@ -1,4 +1,4 @@
-"""Networks of other authors: a critic in turns, noisy images alone."""
+"""Networks of other authors: a critic in turns."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import torch
 from torch import Tensor
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.models.networks.rivals.log_residual import LogResidual, median_of, structure_of
 from simnfnd.models.networks.rivals.sid_tgan import hinge
 from simnfnd.models.training.adversarial import Opponent
 from simnfnd.models.training.loop import TrainingLoop
 from simnfnd.models.training.train import train
-from tests.models.networks.tiny_networks import TINY, tiny
+from tests.models.networks.tiny_networks import TINY
 from tests.models.training.small_training import config_for
 from tests.small_dataset import write_dataset
 
@@ -78,39 +77,3 @@ def test_a_critic_and_a_teacher_exclude_each_other(dataset: Path, tmp_path: Path
     words = [*words_of("sid_tgan"), "train.teacher=simnfnd"]
     with pytest.raises(FactoryError, match=r"train\.teacher=simnfnd: .*critic"):
         train(*config_for(dataset, tmp_path, *words))
-
-
-@pytest.mark.slow
-def test_a_network_learns_from_noisy_images_alone(dataset: Path, tmp_path: Path) -> None:
-    """What it takes away gets the variance of speckle; it sees no clean image."""
-    network = tiny("log_residual").train()
-    assert isinstance(network, LogResidual)
-    clean = torch.full((4, 1, 24, 24), 0.3)
-    clean[..., 12:] = 0.6
-    speckle = torch.distributions.Gamma(9.0, 9.0)
-    torch.manual_seed(0)
-    noisy = (clean * speckle.sample(clean.shape)).clamp(1e-3, 1)
-    optimizer = torch.optim.Adam(network.parameters(), lr=0.003)
-    for step in range(150):
-        loss = network.own_loss(noisy, step / 150)
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-    with torch.inference_mode():
-        denoised = network.eval()(noisy)
-    assert (denoised - clean).square().mean() < 0.6 * (noisy - clean).square().mean()
-    train(*config_for(dataset, tmp_path, *words_of("log_residual")))
-    assert (tmp_path / "weights.safetensors").is_file()
-
-
-def test_parts_of_the_self_supervised_loss() -> None:
-    even = torch.full((1, 1, 6, 6), 0.5)
-    assert structure_of(torch.zeros_like(even), even).item() == 0
-    step = torch.zeros_like(even)
-    step[..., 3:] = 1
-    # A step of the residual costs where the image is even, and hardly where it has an edge.
-    assert structure_of(step, even).item() == pytest.approx(1 / 5)
-    assert structure_of(step, step).item() < 1e-6
-    spike = even.clone()
-    spike[0, 0, 3, 3] = 1
-    assert torch.equal(median_of(spike), even)
