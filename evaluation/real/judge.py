@@ -320,7 +320,7 @@ def _batches(
     """The images in batches as `run` takes them; those of the examples are kept in `examples`."""
     while batch := dict(islice(images, _BATCH_IMAGES)):
         examples.update({number: batch[number] for number in example_numbers & batch.keys()})
-        yield {number: RealImage(image) for number, image in batch.items()}
+        yield {number: RealSubject(image) for number, image in batch.items()}
 
 
 def _images_of_fold(
@@ -526,7 +526,7 @@ def figures_of(image: Grey, scene: MeasuredImage) -> Figures:
 
 
 @dataclass(frozen=True, eq=False)
-class RealImage(Subject):
+class RealSubject(Subject):
     """A judged image as methods and workers get it."""
 
     judged: ReferencedFrame

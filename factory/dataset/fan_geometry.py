@@ -75,7 +75,7 @@ class SonarDevice(Protocol):
 
 
 @dataclass(frozen=True)
-class RecordedImage:
+class DeviceImage:
     """The image of a device, as a dataset's configuration describes it."""
 
     layout: Literal["fan", "polar"]
@@ -92,7 +92,7 @@ class RecordedSonar:
     hfov_deg: float
     beams: int
     range_bins: int
-    image: RecordedImage
+    image: DeviceImage
     beam_azimuths_deg: tuple[float, ...] | None = None
 
     def beam_centres_rad(self) -> Float64s:
@@ -122,7 +122,7 @@ def recorded_sonar(config: Mapping[str, Any]) -> RecordedSonar | None:
             hfov_deg=float(keys["hfov_deg"]),
             beams=int(keys["beams"]),
             range_bins=int(keys["range_bins"]),
-            image=RecordedImage(
+            image=DeviceImage(
                 layout=image.get("layout", "fan"),
                 width_px=int(image.get("width_px", 256)),
                 height_px=int(image.get("height_px", 256)),
@@ -160,7 +160,7 @@ def drawn_sonar(sonar: SonarDevice, record: Mapping[str, Any] | np.void) -> Sona
         hfov_deg=hfov_deg,
         beams=beams,
         range_bins=range_bins,
-        image=RecordedImage(image.layout, image.width_px, height_px),
+        image=DeviceImage(image.layout, image.width_px, height_px),
         beam_azimuths_deg=None if is_even else _beam_table_deg(sonar),
     )
 

@@ -20,7 +20,6 @@ from ..recordings.containers import SEGMENT, Element, element_at
 
 _CRC = b"\xbf"
 _SEEK_HEAD = b"\x11\x4d\x9b\x74"
-_SEEK = b"\x4d\xbb"
 _SEEK_POSITION = b"\x53\xac"
 _TRACKS = b"\x16\x54\xae\x6b"
 _TRACK_ENTRY = b"\xae"
@@ -34,7 +33,6 @@ _MOST_SHORT = 126  # length that a field of one byte states
 
 _HEADER_LIST = b"hdrl"
 _STREAM_LIST = b"strl"
-_STREAM_HEADER = b"strh"
 _JUNK = b"JUNK"
 _PROPERTIES = b"vprp"
 _PROPERTIES_LAYOUT = struct.Struct("<5I2H11I")
@@ -137,10 +135,10 @@ def _state_behind_void(file: IO[bytes], entry: _Entry, display: tuple[int, int])
     if not voids or (voids[-1].element.length or 0) < moved:
         return False
     void = voids[-1]
-    new_video = _resized(file, video, content + stated)
-    new_track = _resized(file, track, _replaced(file, track, video, new_video))
-    new_tracks = _resized(file, tracks, _replaced(file, tracks, track, new_track))
-    new_void = _resized(file, void, bytes((void.element.length or 0) - moved))
+    new_video = _resized(video, content + stated)
+    new_track = _resized(track, _replaced(file, track, video, new_video))
+    new_tracks = _resized(tracks, _replaced(file, tracks, track, new_track))
+    new_void = _resized(void, bytes((void.element.length or 0) - moved))
     between = _bytes_of(file, void.end, tracks.start)
     moved_content = new_void + between + new_tracks
     if len(moved_content) != tracks.end - void.start:  # a length needs more bytes
@@ -171,7 +169,7 @@ def _correct_positions(file: IO[bytes], segment: _Child, moved: range, by: int) 
     _renew_checksum(file, index)
 
 
-def _resized(file: IO[bytes], child: _Child, content: bytes) -> bytes:
+def _resized(child: _Child, content: bytes) -> bytes:
     """An element with other content, its length in as many bytes as before where these suffice."""
     identifier = child.element.identifier
     width = child.element.content - child.start - len(identifier)

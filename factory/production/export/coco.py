@@ -16,8 +16,8 @@ from ...dataset.pair_dataset import PairDataset
 from .notes import write_notes
 from .object_selection import ClassList, ObjectSelection
 from .objects import (
+    ExportedImage,
     ExportedObjects,
-    LabelledImage,
     VisibleObject,
     survey_objects,
     write_labelled_images,
@@ -67,7 +67,7 @@ class _SplitAnnotations:
         self._images: list[dict[str, Any]] = []
         self._annotations: list[dict[str, Any]] = []
 
-    def add(self, image: LabelledImage) -> None:
+    def add(self, image: ExportedImage) -> None:
         """Add an image and its objects."""
         image_id = next(self._ids.images)
         image_entry = {

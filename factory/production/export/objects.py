@@ -59,7 +59,7 @@ def echo_box(mask: Bools) -> Box:
     return Box(*cv2.boundingRect(mask.astype(np.uint8)))
 
 
-class LabelledImage(NamedTuple):
+class ExportedImage(NamedTuple):
     """An image of an export for detectors: the name of its files, and the objects it shows."""
 
     key: str
@@ -253,7 +253,7 @@ _BOX_MAKERS = {"echo+shadow": box_with_shadow, "object": box_of_object}
 
 def write_labelled_images(
     pairs: PairDataset, folder: Path, split: str, exported: ExportedObjects
-) -> Iterator[LabelledImage]:
+) -> Iterator[ExportedImage]:
     """Write images/SPLIT/KEY.png (noisy) and clean/SPLIT/KEY.png, uint8, and yield their objects.
 
     Raises FactoryError for a label that names no class.
@@ -266,7 +266,7 @@ def write_labelled_images(
             for shown in visible_objects(sample, pairs, exported.selection)
             if exported.has_room_for(shown)
         ]
-        yield LabelledImage(sample.key, objects)
+        yield ExportedImage(sample.key, objects)
 
 
 def _write_image(image: Array, folder: Path, key: str) -> None:

@@ -50,7 +50,7 @@ _KNOWN_EXTENSIONS = frozenset(
 _LOOKS = ("KHR_materials_", "EXT_materials_", "KHR_lights_", "EXT_lights_")
 
 
-class Limits(NamedTuple):
+class MeshLimits(NamedTuple):
     """The most faces and parts that a file may have."""
 
     faces: int
@@ -102,7 +102,7 @@ def _links(document: Document) -> list[Document]:
     return [item for item in listed if not item.get("uri", "data:").startswith("data:")]
 
 
-def read_gltf(path: Path, limits: Limits) -> list[RawPart]:
+def read_gltf(path: Path, limits: MeshLimits) -> list[RawPart]:
     """The parts of the default scene, y up, in the order of the nodes.
 
     Raises FactoryError for what is not read, and KeyError, IndexError, TypeError or ValueError for
@@ -128,7 +128,7 @@ def _refuse_unknown_extensions(document: Document) -> None:
 class _SceneReader:
     """Reads the parts of one document."""
 
-    def __init__(self, buffers: Buffers, limits: Limits) -> None:
+    def __init__(self, buffers: Buffers, limits: MeshLimits) -> None:
         self._buffers = buffers
         self._document = buffers.document
         self._limits = limits

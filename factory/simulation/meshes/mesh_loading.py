@@ -18,7 +18,7 @@ from ...common.array_types import Float64s
 from ...common.errors import FactoryError
 from ...common.small_files import one_line
 from .blend_files import export_blend, linked_by_blend
-from .gltf_files import Limits, linked_by_gltf, read_gltf
+from .gltf_files import MeshLimits, linked_by_gltf, read_gltf
 from .obj_files import RawPart, linked_by_obj, read_obj
 from .painted import linear_albedo, unit_colours
 from .ply_headers import copy_with_header, read_header
@@ -159,7 +159,7 @@ def _read(path: Path, suffix: str, folder: Path) -> list[RawPart]:
         source = path
         path = folder / "scene.glb"
         export_blend(source, path)
-    parts = read_gltf(path, Limits(MOST_FACES, MOST_PARTS))
+    parts = read_gltf(path, MeshLimits(MOST_FACES, MOST_PARTS))
     return [part._replace(vertices=part.vertices @ Z_UP.T) for part in parts]
 
 
