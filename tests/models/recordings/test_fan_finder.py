@@ -43,8 +43,12 @@ def check(fan: FanGeometry | None, true: FanGeometry) -> None:
 
 @pytest.mark.parametrize("name", PRESETS[::4])
 def test_fans_of_our_devices(name: str) -> None:
-    for near in (0.05, 0.3, 0.6):
+    for near in (0.05, 0.6):
         check(*shown(name, (192, 192), near, holes=False))
+
+
+@pytest.mark.parametrize("name", PRESETS[::12])
+def test_fans_with_dark_patches(name: str) -> None:
     check(*shown(name, (640, 400), 0.3, holes=True))
 
 
@@ -56,7 +60,7 @@ def shown(
     return find_geometry(grey), true
 
 
-@pytest.mark.parametrize("squeeze", [0.7, 0.8, 1.25])
+@pytest.mark.parametrize("squeeze", [0.7, 1.25])
 def test_a_squeezed_fan(squeeze: float) -> None:
     grey, true = fan(preset("aris_explorer_3000", 600, 600), 0.3, False)
     width = round(600 * squeeze)
@@ -100,7 +104,7 @@ def test_a_fan_on_a_bright_page(page: int, kind: str) -> None:
     assert actual is not None
     assert actual.apex_x_px == pytest.approx(geometry.apex_x_px + 30, abs=2)
     assert actual.sector_rad == pytest.approx(geometry.sector_rad, rel=0.03)
-    assert find_geometry(np.full((300, 300), page, np.uint8)) is None
+    assert find_geometry(np.full((120, 120), page, np.uint8)) is None
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3])
@@ -112,15 +116,21 @@ def test_fans_whose_far_range_is_not_on_top(name: str, turns: int) -> None:
     assert actual.quarter_turns == turns
     turned = actual.turned(*np.rot90(grey, -turns).shape)
     check(turned, true)
-    # Masks of objects are no fans, however they lie.
-    spot = np.zeros_like(grey)
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_masks_of_objects_are_no_fans_however_they_lie(turns: int) -> None:
+    grey, _ = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
+    spot = np.zeros((200, 200), np.uint8)
     spot[50:90, 60:110] = np.rot90(grey, turns)[:40, :50]
     of_spot = find_geometry(spot)
     assert of_spot is None or of_spot.quarter_turns == 0
 
 
-@pytest.mark.parametrize("ground", [(0, 0, 0), (80, 30, 10), (240, 240, 240)])
-@pytest.mark.parametrize("turns", [0, 1])
+@pytest.mark.parametrize(
+    ("ground", "turns"),
+    [((0, 0, 0), 0), ((80, 30, 10), 0), ((240, 240, 240), 0), ((80, 30, 10), 1)],
+)
 def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
     grey, true = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
     shown = screen(grey, true.sector_mask(*grey.shape), ground)
@@ -159,24 +169,26 @@ def test_fans_between_drawn_lines_of_chart_plotters() -> None:
 
 def no_fans() -> dict[str, Array]:
     rng = np.random.default_rng(0)
-    noise = rng.rayleigh(60, (300, 400)).clip(1, 255).astype(np.uint8)
+    size = (180, 240)
+    noise = rng.rayleigh(60, size).clip(1, 255).astype(np.uint8)
     images: dict[str, UInt8s] = {
         "noise": noise,
-        "nothing": np.zeros((300, 400), np.uint8),
-        "one pixel": np.zeros((300, 400), np.uint8),
+        "nothing": np.zeros(size, np.uint8),
+        "one pixel": np.zeros(size, np.uint8),
         "tiny": noise[:20, :20],
         "a row": noise[:1],
     }
-    images["one pixel"][100, 100] = 255
-    for name in ("letterbox", "disc", "ellipse", "triangle", "polar", "specks"):
-        images[name] = np.zeros((300, 400), np.uint8)
-    images["letterbox"][50:250, 60:340] = noise[50:250, 60:340]
-    cv2.circle(images["disc"], (200, 150), 120, WHITE, -1)
+    images["one pixel"][60, 60] = 255
+    for name in ("letterbox", "disc", "triangle", "polar", "specks"):
+        images[name] = np.zeros(size, np.uint8)
+    images["letterbox"][30:150, 36:204] = noise[30:150, 36:204]
+    cv2.circle(images["disc"], (120, 90), 72, WHITE, -1)
+    images["ellipse"] = np.zeros((300, 400), np.uint8)  # smaller, it is within a pixel of a fan
     cv2.ellipse(images["ellipse"], (200, 150), (160, 90), 0, 0, 360, WHITE, -1)
-    corners = np.array([(50, 50), (350, 50), (200, 150)])
+    corners = np.array([(30, 30), (210, 30), (120, 90)])
     cv2.fillPoly(images["triangle"], [corners], WHITE)
-    images["polar"][80:] = noise[80:]
-    images["specks"][rng.random((300, 400)) < 0.01] = 200
+    images["polar"][48:] = noise[48:]
+    images["specks"][rng.random(size) < 0.01] = 200
     return images
 
 
@@ -191,7 +203,7 @@ def test_mdd() -> None:
     with (DATA / "mdd" / "fan_geometry.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 117
-    for row in rows[::16]:
+    for row in rows[::30]:
         image = cv2.imread(str(DATA / "mdd" / "Images" / row["file"]), cv2.IMREAD_UNCHANGED)
         fan = find_geometry(np.asarray(image))
         assert fan is not None
