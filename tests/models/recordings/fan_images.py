@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import cv2
 import numpy as np
-from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
 
 from simnfnd.factory.common.array_types import Array, UInt8s
-from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.factory.simulation.sonar.fan import fan_table
 from simnfnd.factory.simulation.sonar.settings import SonarSettings
+from tests.sonar_presets import sonar_preset
 
 
 @cache
 def preset(name: str, width: int, height: int) -> SonarSettings:
     """A device of conf/sonar with a fan image of this size."""
-    with initialize_config_module("simnfnd.conf", version_base=None):
-        config = compose("factory", [f"sonar={name}"])
-    sonar_values: Any = OmegaConf.to_container(config.sonar)
-    image = {"layout": "fan", "width_px": width, "height_px": height}
-    settings: SonarSettings = build(SonarSettings, {**sonar_values, "image": image})
-    return settings
+    sonar = sonar_preset(name)
+    image = type(sonar.image)(layout="fan", width_px=width, height_px=height)
+    return replace(sonar, image=image)
 
 
 def fan(

@@ -20,7 +20,7 @@ from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.config.root import from_mapping, plain
 from simnfnd.factory.simulation.noise.registry import NoiseSettings
 from simnfnd.factory.simulation.sonar.settings import SonarSettings
-from tests import remembered_configurations
+from tests import remembered_configurations, sonar_presets
 from tests.project_files import ROOT
 
 CONF = ROOT / "conf"
@@ -48,11 +48,15 @@ def names(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
 
 
-@pytest.mark.parametrize("sonar", names("sonar"))
+@pytest.mark.parametrize("sonar", sonar_presets.NAMES)
 def test_every_sonar_composes(sonar):
-    device = config(f"sonar={sonar}").sonar
+    device = sonar_presets.sonar_preset(sonar)
     assert device.name == sonar
     assert len(device.beam_centres_rad()) == device.beams
+
+
+def test_a_sonar_alone_is_that_of_the_whole_configuration():
+    assert config("sonar=didson_hf").sonar == sonar_presets.sonar_preset("didson_hf")
 
 
 @pytest.mark.slow
