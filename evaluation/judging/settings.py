@@ -162,6 +162,7 @@ class TransferSettings:
     with_shadow: list[str]
     min_visibility: Annotated[float, Field(ge=-100, le=100)] | None
     min_side: Annotated[float, Field(ge=0, le=0.2)]
+    far_end: bool
     clutter: bool
     arms: Annotated[list[ArmName], Field(min_length=1)]
     shares: Annotated[list[Annotated[float, Field(gt=0, le=1)]], Field(min_length=1)]

@@ -229,6 +229,7 @@ def rules_of(settings: TransferSettings) -> LabelRules:
         with_shadow=tuple(settings.with_shadow),
         min_visibility_db=settings.min_visibility,
         min_side=settings.min_side,
+        far_end=settings.far_end,
     )
 
 

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from scipy import ndimage
 
-from ...factory.common.array_types import Int64s
+from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
-from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ...factory.dataset.labels import classes_of
 from ...factory.dataset.pair_dataset import PairDataset
 from ...factory.dataset.reader import Split
 from ...factory.dataset.schema import stored_image
-from ...factory.production.export.object_boxes import Box, box_with_shadow, parse_places
-from ...factory.production.export.objects import MIN_OBJECT_PX, has_labels
+from ...factory.production.export.object_boxes import Box
+from ...factory.production.export.object_selection import ObjectSelection
+from ...factory.production.export.objects import (
+    MIN_OBJECT_PX,
+    VisibleObject,
+    echo_box,
+    has_labels,
+    is_clear,
+    visible_objects,
+)
+from ...factory.production.export.samples import ExportedSample, plain_record
 from ...models.detection.boxes import grow_boxes
-from ...models.detection.images import LabelledImage, WorkingImage, scale_image
+from ...models.detection.images import LabelledImage, WorkingImage, find_fan, scale_image
 
 _LAYERS = ("noisy", "segmentation", "instance")
+_END_SHARE = 0.0125
+"""Echoes that come so near to the end of the range, as a share of the longer side, are cut off."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +43,14 @@ class LabelRules:
         that stand.
     min_visibility_db: fainter objects are not taught, where the dataset says how visible they are.
     min_side: nor are those whose echoes are narrower than this share of the longer side.
+    far_end: whether objects are taught that the far end of the range window cuts off.
     """
 
     padding: float = 0.0
     with_shadow: tuple[str, ...] = ()
     min_visibility_db: float | None = None
     min_side: float = 0.0
+    far_end: bool = True
 
 
 def simulated_classes(folder: str | Path) -> tuple[str, ...]:
@@ -93,91 +101,43 @@ def _read_split(
 def _read_images(
     pairs: PairDataset, classes: Sequence[str], rules: LabelRules, limit: int | None
 ) -> list[WorkingImage]:
-    known = classes_of(pairs.form.config)
-    # Number in the image -> label of the detector; -1: background.
-    label_of = np.array([classes.index(n) if n in classes else -1 for n in known], np.int64)
     step = 1 if limit is None else max(1, len(pairs) // limit)
     numbers = range(0, len(pairs), step)[:limit]
-    shadow_labels = {n for n, name in enumerate(classes) if name in rules.with_shadow}
     records = pairs.meta()
     images = []
     for number in numbers:
-        sample = pairs[number]
-        image = np.asarray(stored_image(sample["noisy"], "uint8"), np.uint8)
-        longer_px = max(image.shape)
-        objects = [
-            shown
-            for shown in _objects_in(sample["instance"], sample["segmentation"], label_of)
-            if min(shown.box.width, shown.box.height) >= rules.min_side * longer_px
-        ]
-        objects = _visible(objects, records[number], rules.min_visibility_db)
-        if any(shown.label in shadow_labels for shown in objects):
-            objects = _with_shadows(objects, shadow_labels, pairs, records[number])
+        sample = ExportedSample(pairs.split, number, pairs[number], plain_record(records[number]))
+        image = np.asarray(stored_image(sample.images["noisy"], "uint8"), np.uint8)
+        objects = list(_taught_objects(sample, pairs, classes, rules, find_fan(image)))
         boxes = np.array([shown.box.corners for shown in objects], np.float32).reshape(-1, 4)
-        labels = np.array([shown.label for shown in objects], np.int64)
-        grown = grow_boxes(boxes, rules.padding * longer_px, *image.shape)
-        name = f"{pairs.split}-{number:06d}"
-        images.append(scale_image(LabelledImage(name, name, image, grown, labels)))
+        labels = np.array([classes.index(shown.class_name) for shown in objects], np.int64)
+        grown = grow_boxes(boxes, rules.padding * max(image.shape), *image.shape)
+        images.append(scale_image(LabelledImage(sample.key, sample.key, image, grown, labels)))
     return images
 
 
-@dataclass(frozen=True)
-class _SimulatedObject:
-    """An object in a simulated image.
-
-    number: its number in /instance.  label: number of its class.
-    box: around its echoes, or its echoes and shadow.
-    """
-
-    number: int
-    label: int
-    box: Box
-
-
-def _objects_in(
-    instance: npt.NDArray[np.integer],
-    segmentation: npt.NDArray[np.integer],
-    label_of: Int64s,
-) -> Iterator[_SimulatedObject]:
-    """The objects of an image that are to be found."""
-    for number, place in enumerate(ndimage.find_objects(instance.astype(np.int32)), start=1):
-        if place is None:
+def _taught_objects(
+    sample: ExportedSample,
+    pairs: PairDataset,
+    classes: Sequence[str],
+    rules: LabelRules,
+    is_fan: Bools,
+) -> Iterator[VisibleObject]:
+    """The objects of an image that a detector is to find."""
+    selection = ObjectSelection(min_visibility_db=rules.min_visibility_db)
+    box_of = dict.fromkeys(rules.with_shadow, "echo+shadow")
+    least_px = rules.min_side * max(is_fan.shape)
+    for shown in visible_objects(sample, pairs, selection, box_of):
+        echo = echo_box(shown.mask)
+        if shown.class_name not in classes or shown.area_px < MIN_OBJECT_PX:
             continue
-        is_object = instance[place] == number
-        label = int(label_of[np.bincount(segmentation[place][is_object]).argmax()])
-        if label < 0 or is_object.sum() < MIN_OBJECT_PX:
+        if not is_clear(shown, selection) or min(echo.width, echo.height) < least_px:
             continue
-        rows, columns = place
-        width = columns.stop - columns.start
-        box = Box(columns.start, rows.start, width, rows.stop - rows.start)
-        yield _SimulatedObject(number, label, box)
+        if rules.far_end or not reaches_far_end(echo, is_fan):
+            yield shown
 
 
-def _visible(
-    objects: list[_SimulatedObject], record: np.void, least_db: float | None
-) -> list[_SimulatedObject]:
-    """Objects that stand out by so much; all objects where the dataset does not say."""
-    if least_db is None or "visibility" not in (record.dtype.names or ()):
-        return objects
-    visibility_db = json.loads(record["visibility"].decode())
-    return [shown for shown in objects if visibility_db.get(str(shown.number), 0.0) >= least_db]
-
-
-def _with_shadows(
-    objects: list[_SimulatedObject], labels: set[int], pairs: PairDataset, record: np.void
-) -> list[_SimulatedObject]:
-    """The same objects, those of some labels with boxes around echoes and shadow."""
-    sonar = recorded_sonar(pairs.form.config)
-    if sonar is None:
-        raise FactoryError(f"with_shadow: the device of {pairs.folder} is not known; leave it out")
-    plain: dict[str, Any] = {name: record[name].item() for name in record.dtype.names or ()}
-    places = parse_places(plain["boxes"].decode(), f"{pairs.folder}")
-    geometry = FanGeometry.from_record(sonar, plain)
-    height, width = pairs.shape
-    extended = []
-    for shown in objects:
-        if shown.label in labels and shown.number in places:
-            box = box_with_shadow(shown.box, places[shown.number], geometry, (height, width))
-            shown = replace(shown, box=box)
-        extended.append(shown)
-    return extended
+def reaches_far_end(echo: Box, is_fan: Bools) -> bool:
+    """Whether echoes go on as far as the end of the range window, where they are cut off."""
+    row = echo.top - round(_END_SHARE * max(is_fan.shape))
+    return row < 0 or not is_fan[row, echo.left + echo.width // 2]

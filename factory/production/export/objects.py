@@ -184,15 +184,19 @@ def _refuse_missing_columns(pairs: PairDataset, selection: ObjectSelection) -> N
 
 
 def visible_objects(
-    sample: ExportedSample, pairs: PairDataset, selection: ObjectSelection
+    sample: ExportedSample,
+    pairs: PairDataset,
+    selection: ObjectSelection,
+    box_of: Mapping[str, str] | None = None,
 ) -> Iterator[VisibleObject]:
     """The pixels of each number in /instance, with the class that most of them have.
 
+    box_of: class -> what its boxes are around, where it is not what the selection says.
     Raises FactoryError for a label that names no class of the dataset, and for columns that cannot
     be read.
     """
     visibility_db = _visibility_db(sample, pairs)
-    boxes = _SampleBoxes(sample, pairs, selection.box)
+    boxes = _SampleBoxes(sample, pairs)
     classes = classes_of(pairs.form.config)
     object_numbers = sample.images["instance"]
     labels = sample.images["segmentation"]
@@ -206,8 +210,10 @@ def visible_objects(
             )
         if label:
             number = int(object_number)
-            box = boxes.around(number, mask)
-            yield VisibleObject(classes[label], mask, box, visibility_db.get(number))
+            class_name = classes[label]
+            convention = (box_of or {}).get(class_name, selection.box)
+            box = boxes.around(number, mask, convention)
+            yield VisibleObject(class_name, mask, box, visibility_db.get(number))
 
 
 def _visibility_db(sample: ExportedSample, pairs: PairDataset) -> dict[int, float]:
@@ -225,27 +231,35 @@ def _visibility_db(sample: ExportedSample, pairs: PairDataset) -> dict[int, floa
 
 
 class _SampleBoxes:
-    """The boxes of the objects of one sample, by a convention."""
+    """The boxes of the objects of one sample, by convention."""
 
-    def __init__(self, sample: ExportedSample, pairs: PairDataset, convention: str) -> None:
-        self._make_box = _BOX_MAKERS.get(convention)
-        self._places: Mapping[int, ObjectPlace] = {}
-        if self._make_box is None:
-            return
-        place = f"{pairs.folder}: {sample.key}"
-        self._places = parse_places(str(sample.record["boxes"]), place)
-        sonar = recorded_sonar(pairs.form.config)
-        if sonar is None:
-            raise FactoryError(f"{place}: its device is not known; export with --box echo")
-        self._geometry = FanGeometry.from_record(sonar, sample.record)
+    def __init__(self, sample: ExportedSample, pairs: PairDataset) -> None:
+        self._record = sample.record
+        self._config = pairs.form.config
+        self._name = f"{pairs.folder}: {sample.key}"
 
-    def around(self, number: int, mask: Bools) -> Box:
+    def around(self, number: int, mask: Bools, convention: str) -> Box:
         """The box of an object, whose echoes are the mask."""
         echo = echo_box(mask)
-        if self._make_box is None or number not in self._places:
+        make_box = _BOX_MAKERS.get(convention)
+        if make_box is None or number not in self._places:
             return echo
         height, width = mask.shape
-        return self._make_box(echo, self._places[number], self._geometry, (height, width))
+        return make_box(echo, self._places[number], self._geometry, (height, width))
+
+    @cached_property
+    def _places(self) -> Mapping[int, ObjectPlace]:
+        return parse_places(str(self._record["boxes"]), self._name)
+
+    @cached_property
+    def _geometry(self) -> FanGeometry:
+        sonar = recorded_sonar(self._config)
+        if sonar is None:
+            raise FactoryError(
+                f"{self._name}: its device is not known; only boxes around echoes can be made "
+                "(--box echo)"
+            )
+        return FanGeometry.from_record(sonar, self._record)
 
 
 _BOX_MAKERS = {"echo+shadow": box_with_shadow, "object": box_of_object}

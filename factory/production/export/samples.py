@@ -72,7 +72,7 @@ def read_samples(pairs: PairDataset, split: str) -> Iterator[ExportedSample]:
 
         for record in records:
             images = _read_images(pairs, dataset_index, shard_path)
-            yield ExportedSample(split, split_index, images, _plain_record(record))
+            yield ExportedSample(split, split_index, images, plain_record(record))
             dataset_index += 1
             split_index += 1
 
@@ -86,7 +86,7 @@ def _read_images(pairs: PairDataset, index: int, shard_path: Path) -> dict[str, 
     return {flat_name(layer): image for layer, image in images.items()}
 
 
-def _plain_record(record: np.void) -> dict[str, Value]:
+def plain_record(record: np.void) -> dict[str, Value]:
     """A row of the sample table as Python values, with text as str."""
     values = {name: record[name].item() for name in record.dtype.names or ()}
     return {

@@ -29,8 +29,7 @@ from simnfnd.evaluation.transfer.scores import (
 from simnfnd.evaluation.transfer.sheet import detection_sheet, match_greedily
 from simnfnd.evaluation.transfer.simulated import (
     LabelRules,
-    _SimulatedObject,
-    _visible,
+    reaches_far_end,
     read_simulated,
 )
 from simnfnd.factory.common.errors import FactoryError
@@ -278,12 +277,13 @@ def test_rules_choose_what_is_taught(tmp_path: Path) -> None:
         read_simulated(dataset, ("Bottle",), LabelRules(with_shadow=("Bottle",)))
 
 
-def test_faint_objects_are_left_out() -> None:
-    objects = [_SimulatedObject(number, 0, Box(0, 0, 9, 9)) for number in (1, 2, 3)]
-    record = np.array([(b'{"1": 8.5, "2": 2.0}',)], [("visibility", "S64")])[0]
-    assert [shown.number for shown in _visible(objects, record, 3.0)] == [1]
-    assert _visible(objects, record, None) == objects
-    assert _visible(objects, np.zeros(1, [("scene", "S4")])[0], 3.0) == objects
+def test_objects_at_the_far_end_are_cut_off() -> None:
+    """The fan's far end is an arc: at its sides it lies lower than in the middle."""
+    is_fan = np.ones((80, 60), bool)
+    is_fan[:20, :20] = False
+    assert reaches_far_end(Box(5, 20, 6, 9), is_fan)
+    assert not reaches_far_end(Box(30, 21, 6, 9), is_fan)
+    assert reaches_far_end(Box(30, 0, 6, 9), is_fan)
 
 
 def test_exports_are_read_as_they_are(tmp_path: Path) -> None:
