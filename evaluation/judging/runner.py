@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -84,6 +84,15 @@ class Measured:
     lost: dict[str, str] = field(default_factory=dict)
     images: dict[tuple[str, int], Grey] = field(default_factory=dict)
 
+    def add(self, label: str, result: MethodResult) -> None:
+        """Take in what a method gave; once a method has failed, nothing of it counts."""
+        if result.lost is not None:
+            self.lost.setdefault(label, result.lost)
+        if label in self.lost:
+            return
+        self.figures[label] |= result.figures
+        self.images |= {(label, number): image for number, image in result.images.items()}
+
     def table(self) -> pd.DataFrame:
         """A row for each method and image, in order: method, number of the image, figures."""
         import pandas as pd
@@ -124,43 +133,46 @@ def run(
     FactoryError for an image that cannot be read.
     """
     measured = Measured({method.label: {} for method in methods})
+
+    def limit_s(task: JudgingTask) -> float:
+        runs = len(task.subjects) * len({method.output for method in task.methods})
+        return timeout_s * runs
+
     for batch in batches:
-        every = list(batch.items())
+        images = list(batch.items())
         waiting: deque[JudgingTask] = deque()
-        for first in range(0, len(every), chunk):
-            some = dict(every[first : first + chunk])
-            if todo := tuple(item for item in methods if item.label not in measured.lost):
-                waiting.append(JudgingTask(todo, some, device, frozenset(filter(keep, some))))
-        for task, results in pool.run(
-            measure_task,
-            waiting,
-            lambda task: timeout_s * len(task.subjects) * len({m.output for m in task.methods}),
-        ):
+        for first in range(0, len(images), chunk):
+            subjects = dict(images[first : first + chunk])
+            kept = frozenset(filter(keep, subjects))
+            waiting.append(JudgingTask(tuple(methods), subjects, device, kept))
+        # Changed while the pool takes tasks from it: tasks come back, methods are lost.
+        _leave_out_lost(waiting, measured.lost)
+        for task, results in pool.run(measure_task, waiting, limit_s):
             if isinstance(results, TaskLost):
-                if again := _again(task):
-                    waiting.extendleft(again)
+                if retries := _retries(task):
+                    waiting.extendleft(retries)
                     continue
                 results = [MethodResult(lost=results.reason)] * len(task.methods)
             for method, result in zip(task.methods, results, strict=True):
                 tick(len(task.subjects))
-                if result.lost is not None:
-                    measured.lost.setdefault(method.label, result.lost)
-                if method.label in measured.lost:
-                    continue
-                measured.figures[method.label] |= result.figures
-                measured.images |= {(method.label, n): item for n, item in result.images.items()}
-            if measured.lost:
-                alive = [
-                    replace(item, methods=left)
-                    for item in waiting
-                    if (left := tuple(m for m in item.methods if m.label not in measured.lost))
-                ]
-                waiting.clear()
-                waiting.extend(alive)
+                measured.add(method.label, result)
+            _leave_out_lost(waiting, measured.lost)
     return measured
 
 
-def _again(task: JudgingTask) -> list[JudgingTask]:
+def _leave_out_lost(waiting: deque[JudgingTask], lost: Collection[str]) -> None:
+    """Take methods that have lost their row from the waiting tasks, in place."""
+    if not lost:
+        return
+    tasks = [
+        replace(task, methods=tuple(method for method in task.methods if method.label not in lost))
+        for task in waiting
+    ]
+    waiting.clear()
+    waiting.extend(task for task in tasks if task.methods)
+
+
+def _retries(task: JudgingTask) -> list[JudgingTask]:
     """What to try once more after a worker died with this task: each method alone."""
     if task.again:
         return []

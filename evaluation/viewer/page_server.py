@@ -23,7 +23,7 @@ _CONTENT_POLICY = (
     "default-src 'self'; style-src 'self' 'unsafe-inline'; script-src 'self' 'unsafe-inline'"
 )
 
-# How long a request waits for another one.
+# How long a request waits for the one before it.
 _PATIENCE_S = 60.0
 
 
@@ -48,7 +48,8 @@ class PageServer(ThreadingHTTPServer):
 
     verb: of `simnfnd`; begins what is printed.
     url: where; it holds a random token, without which other users of the machine get nothing.
-    hosts: names of this server; a page elsewhere whose name was bound to this address has another.
+    hosts: names by which a browser may call this server.  A foreign page whose own name was bound
+        to this address (DNS rebinding) calls it by that name, and is refused.
     """
 
     verb = "page"
@@ -81,8 +82,8 @@ class PageServer(ThreadingHTTPServer):
         with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as folder:
             print(f"{self.verb}: {self.url} (Ctrl-C ends)", flush=True)
             if opens_browser:
-                # Every user can read the words of a browser's process: a file of ours has the
-                # address.
+                # Every user of the machine can read the command line of a browser, but not a file
+                # of ours: the address stands in a file.
                 page = Path(folder, "open.html")
                 page.write_text(f'<meta http-equiv="refresh" content="0; url={self.url}">')
                 webbrowser.open(page.as_uri())

@@ -42,6 +42,7 @@ _S = tuple(
 _HALF = _F(0.5)
 _ROUND = _F(12582912)  # adding and subtracting it rounds to whole numbers
 _LOG2E = _F(1 / np.log(2))
+_ROOT_HALF_BITS = np.int32(0x3F3504F3)  # of sqrt(1/2), the least mantissa of `log`
 _E = tuple(_F(np.log(2) ** k / math.factorial(k)) for k in range(7))
 
 FLOATS = "Array(float32, 1, 'C', readonly=True)"
@@ -101,7 +102,7 @@ def log(value: Any) -> Any:
     2 artanh((m - 1) / (m + 1)) with the mantissa m in [0.7, 1.4], by its series.
     """
     bits = _F(value).view(np.int32)
-    exponent = np.int32((bits - np.int32(0x3F3504F3)) >> np.int32(23))
+    exponent = np.int32((bits - _ROOT_HALF_BITS) >> np.int32(23))
     m = np.int32(bits - (exponent << np.int32(23))).view(np.float32)
     s = (m - _ONE) / (m + _ONE)
     u = s * s
@@ -168,7 +169,7 @@ def ranked(values: Any, ranks: Any, out: Any) -> None:
     ones, the lower.
     """
     bits = values.view(np.uint32)
-    # Neighbours are often equal; counting them in turns saves waiting for the same cell.
+    # Neighbours are often equal: four tables in turn, so that no addition waits for the one before.
     turns = np.zeros((4, 1 << 16), np.int64)
     for at in range(len(bits)):
         turns[at & 3, bits[at] >> 16] += 1

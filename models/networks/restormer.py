@@ -74,11 +74,11 @@ class ChannelAttention(nn.Module):
         query, key, value = split.permute(2, 0, 3, 1, 4)
         # Unit vectors over the pixels: the products are cosines, and the temperature scales them.
         # Scaling the small matrix by the lengths is the same as scaling the vectors before.
-        long, wide = (
+        query_lengths, key_lengths = (
             torch.linalg.vector_norm(vectors, dim=-2, keepdim=True).clamp_min(1e-6)
             for vectors in (query, key)
         )
-        lengths = long.transpose(-2, -1) * wide
+        lengths = query_lengths.transpose(-2, -1) * key_lengths
         cosines = query.transpose(-2, -1) @ key / lengths
         attention = (cosines * self.temperature).softmax(dim=-1)
         mixed = (value @ attention.transpose(-2, -1)).transpose(1, 2)

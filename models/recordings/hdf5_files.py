@@ -81,18 +81,19 @@ def counting_axis(shape: Sequence[int]) -> int | None:
     arranged, first.  Sides too short for an image of a sonar tell which; otherwise it is the last.
     """
     sides = [int(side) for side in shape]
-    if len(sides) == 2 or sides[2:] == [3]:  # four are rather four images
+    if len(sides) == 2 or sides[2:] == [3]:  # with four at the end, four images
         return None
     if len(sides) == 4 and sides[3] in _COLOURS and sides[2] not in _COLOURS:
         return 0
     if len(sides) != 3:
         return -1
-    least_of_last = min(sides[:2])
-    least_of_first = min(sides[1:])
+    # The shorter side of an image, if the last or the first axis counts images.
+    shorter_if_last = min(sides[:2])
+    shorter_if_first = min(sides[1:])
     for least in (LEAST_SIDE_PX, LEAST_BEAMS):
-        if least_of_last < least <= least_of_first:
+        if shorter_if_last < least <= shorter_if_first:
             return 0
-        if least_of_first < least <= least_of_last:
+        if shorter_if_first < least <= shorter_if_last:
             return -1
     return -1
 
@@ -103,9 +104,8 @@ def is_ambiguous(shape: Sequence[int]) -> bool:
     is_three = len(sides) == 3 and counting_axis(sides) is not None
     if not is_three:
         return False
-    least_of_last = min(sides[:2])
-    least_of_first = min(sides[1:])
-    return min(least_of_last, least_of_first) >= LEAST_BEAMS
+    # Its images would be large enough either way.
+    return min(sides) >= LEAST_BEAMS
 
 
 def images_first(shape: Sequence[int]) -> list[int]:

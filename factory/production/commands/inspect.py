@@ -64,12 +64,12 @@ def report(path: Path, name: str, most: int = 200) -> Iterator[str]:
     counts = ", ".join(f"{count} {split}" for split, count in pairs.splits.items())
     rows, columns = pairs.shape
     scale = "0..255" if pairs.dtype == np.uint8 else "0..1"
-    across, down = (f"{axis.name} [{axis.units}]" for axis in pairs.axes)
+    row_axis, column_axis = (f"{axis.name} [{axis.units}]" for axis in pairs.axes)
     licence = dataset_settings(pairs.folder).get("licence") or "not stated"
     yield f"{name}: {SCHEMA}, made by {generator}, config hash {pairs.config_hash}"
     yield f"samples      {counts}, in {len(pairs.paths)} file(s)"
     yield f"images       {rows} x {columns} {pairs.dtype} ({scale}), {pairs.layout}"
-    yield f"axes         rows {across}, columns {down}"
+    yield f"axes         rows {row_axis}, columns {column_axis}"
     yield f"layers       {', '.join(name.replace('/', '_') for name in pairs.form.layers)}"
     if camera := [name for name in pairs.form.layers if name in CAMERA_LAYERS]:
         high, wide = pairs.form.sizes[camera[0]][:2]
@@ -93,7 +93,7 @@ def report(path: Path, name: str, most: int = 200) -> Iterator[str]:
 
 
 def _columns(pairs: PairDataset) -> Iterator[list[str]]:
-    """One line a column: what was drawn lies between lowest and highest."""
+    """One line per column of /meta: what was drawn lies between lowest and highest."""
     table = pairs.meta()
     for column in pairs.form.columns:
         if column.name in ("location", "scene", "frame", "seed_key", "boxes"):

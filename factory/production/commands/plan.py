@@ -1,7 +1,7 @@
 """`simnfnd plan [-m] ...`: what a command would make, and what it would cost.
 
-Four frames are really made, in memory and in a folder of the system's temporary files that goes
-again; nothing of the dataset, the cache or the sweep is written.
+Four frames are really made, in memory and in a temporary folder that is removed; nothing of the
+dataset, the cache or the sweep is written.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _PROBED = 4
 
 
 def main(words: list[str]) -> int:
-    """Print the plan; returns 0, or 1 when disk or memory will not do."""
+    """Print the plan; returns 0, or 1 when disk or memory does not suffice."""
     from ...simulation.pairs.views import open_views
     from ..cli.generate import job_of
 
@@ -63,8 +63,8 @@ def main(words: list[str]) -> int:
     )
     cost = _probe(config, used)
     print(
-        f"probe: {cost.render_s:.2f} s to render a frame, {cost.pair_s:.2f} s a pair; "
-        f"{cost.render_bytes / 1e3:.0f} kB a render, {cost.pair_bytes / 1e3:.0f} kB a pair"
+        f"probe: {cost.render_s:.2f} s to render a frame, {cost.pair_s:.2f} s to make a pair; "
+        f"{cost.render_bytes / 1e3:.0f} kB per render, {cost.pair_bytes / 1e3:.0f} kB per pair"
     )
     seconds = renders * cost.render_s / min(max(worker_counts.render, 1), usable_cores())
     seconds += pairs * cost.pair_s / min(worker_counts.total, usable_cores())

@@ -167,8 +167,8 @@ def plan_shards(
         limit = (limits or {}).get(split)
         samples = len(refs) * variants
         samples = samples if limit is None else min(limit, samples)
-        frames = -(-samples // variants)
-        chosen = [refs[k * len(refs) // frames] for k in range(frames)]
+        frame_count = -(-samples // variants)  # rounded up
+        chosen = [refs[k * len(refs) // frame_count] for k in range(frame_count)]
         items = [(ref, tuple(range(variants))) for ref in chosen]
         if samples % variants:
             items[-1] = chosen[-1], tuple(range(samples % variants))

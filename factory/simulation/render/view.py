@@ -137,54 +137,74 @@ def encode(view: View) -> bytes:
 def decode(content: bytes) -> View:
     """The view that `encode` wrote.  Raises ValueError for anything else, one flipped bit too."""
     try:
-        if content[:4] != _MAGIC:
-            raise ValueError("no view of this version")
-        (length,) = struct.unpack_from("<I", content, 4)
-        start = 8 + _CHECKSUM_BYTES
-        text = content[start : start + length]
-        if length > _MOST_HEAD_BYTES or _checksum(text) != content[8:start]:
-            raise ValueError("checksum differs")
-        head = parse_json(text)
-        if head["precision"] != _PRECISION:
-            raise ValueError("a small view, which version 0.3 could make; pack renders again")
-        shape = height, width = head["shape"]
+        head, parts_begin = _read_head(content)
+        height, width = head["shape"]
         pixels = height * width
         if not (height >= 1 <= width and pixels <= MOST_PIXELS):
-            raise ValueError(f"an image of {pixels} pixels; at most {MOST_PIXELS} go")
-        parts = []
-        start = start + length
-        sizes = [2 * pixels, 2 * pixels, *([pixels, 2 * pixels] if head["labelled"] else [])]
-        paths = int(head["bounces"]["paths"]) if "bounces" in head else 0
-        if not 0 <= paths <= pixels:
-            raise ValueError(f"{paths} bounces")
-        sizes += [4 * paths, 4 * paths, 2 * paths] if "bounces" in head else []
-        for packed, size in zip(head["parts"], sizes, strict=True):
-            parts.append(_decompressed(content[start : start + packed], size))
-            start += packed
-        if start != len(content):
-            raise ValueError("too long")
-        more: dict[str, Any] = {name: _finite(head.get(name)) for name in _NUMBERS}
-        if head["world_from_camera"] is not None:
-            more["world_from_camera"] = np.array(head["world_from_camera"], float).reshape(4, 4)
-        if head["labelled"]:
-            more["segmentation"] = np.frombuffer(parts[2], np.uint8).reshape(shape)
-            more["instance"] = np.frombuffer(parts[3], "<u2").astype(np.uint16).reshape(shape)
-        if "boxes" in head:
-            more["boxes"] = np.array(head["boxes"], float).reshape(-1, BOX_FIELDS)
-        if "surroundings" in head:
-            more["surroundings"] = _surroundings(head["surroundings"])
-        depth_m = unfold(parts[0], shape, DEPTH)
-        *lens, distortion = (head["intrinsics"][field.name] for field in fields(Intrinsics))
-        fx, fy, cx, cy = map(_finite, lens)
-        camera = Intrinsics(fx, fy, cx, cy, tuple(map(_finite, distortion)))
-        if not min(camera.fx, camera.fy) > 0:
-            raise ValueError("no camera")
-        frame = Frame(FrameRef("", "", ""), _black(shape), depth_m, camera, **more)
-        radiance = unfold(parts[1], shape, RADIANCE)
+            raise ValueError(f"an image of {pixels} pixels; at most {MOST_PIXELS} are read")
+        parts = _read_parts(content, parts_begin, head, pixels)
+        frame = _read_frame(head, parts, (height, width))
+        radiance = unfold(parts[1], (height, width), RADIANCE)
         bounces = _bounces(head["bounces"], parts[-3:], pixels) if "bounces" in head else None
         return View(frame, radiance, mount_of(head["mount"]), bounces)
     except (KeyError, TypeError, zstd.ZstdError, struct.error) as error:
         raise ValueError(f"damaged ({error})") from error
+
+
+def _read_head(content: bytes) -> tuple[dict[str, Any], int]:
+    """The head of a view, and where its parts begin."""
+    if content[:4] != _MAGIC:
+        raise ValueError("no view of this version")
+    (length,) = struct.unpack_from("<I", content, 4)
+    text_begin = 8 + _CHECKSUM_BYTES
+    text = content[text_begin : text_begin + length]
+    if length > _MOST_HEAD_BYTES or _checksum(text) != content[8:text_begin]:
+        raise ValueError("checksum differs")
+    head: dict[str, Any] = parse_json(text)
+    if head["precision"] != _PRECISION:
+        raise ValueError("a small view, which version 0.3 could make; pack renders again")
+    return head, text_begin + length
+
+
+def _read_parts(content: bytes, begin: int, head: dict[str, Any], pixels: int) -> list[bytes]:
+    """The decompressed parts: depth and radiance; labels and instances; the paths of bounces."""
+    sizes = [2 * pixels, 2 * pixels]
+    if head["labelled"]:
+        sizes += [pixels, 2 * pixels]
+    if "bounces" in head:
+        paths = int(head["bounces"]["paths"])
+        if not 0 <= paths <= pixels:
+            raise ValueError(f"{paths} bounces")
+        sizes += [4 * paths, 4 * paths, 2 * paths]
+
+    parts = []
+    for packed_size, size in zip(head["parts"], sizes, strict=True):
+        parts.append(_decompressed(content[begin : begin + packed_size], size))
+        begin += packed_size
+    if begin != len(content):
+        raise ValueError("too long")
+    return parts
+
+
+def _read_frame(head: dict[str, Any], parts: Sequence[bytes], shape: tuple[int, int]) -> Frame:
+    """The frame of a view, black and without a name."""
+    more: dict[str, Any] = {name: _finite(head.get(name)) for name in _NUMBERS}
+    if head["world_from_camera"] is not None:
+        more["world_from_camera"] = np.array(head["world_from_camera"], float).reshape(4, 4)
+    if head["labelled"]:
+        more["segmentation"] = np.frombuffer(parts[2], np.uint8).reshape(shape)
+        more["instance"] = np.frombuffer(parts[3], "<u2").astype(np.uint16).reshape(shape)
+    if "boxes" in head:
+        more["boxes"] = np.array(head["boxes"], float).reshape(-1, BOX_FIELDS)
+    if "surroundings" in head:
+        more["surroundings"] = _surroundings(head["surroundings"])
+    depth_m = unfold(parts[0], shape, DEPTH)
+    *lens, distortion = (head["intrinsics"][field.name] for field in fields(Intrinsics))
+    fx, fy, cx, cy = map(_finite, lens)
+    camera = Intrinsics(fx, fy, cx, cy, tuple(map(_finite, distortion)))
+    if not min(camera.fx, camera.fy) > 0:
+        raise ValueError("no camera")
+    return Frame(FrameRef("", "", ""), _black(shape), depth_m, camera, **more)
 
 
 def _head_of(surroundings: Surroundings) -> dict[str, Any]:
@@ -291,9 +311,9 @@ def _table(steps: Steps) -> Float32s:
 
 
 def fold(codes: UInt16s) -> bytes:
-    """(H, W) codes as 2 H W bytes that a compressor makes little of.
+    """(H, W) codes as 2 H W bytes that compress well.
 
-    Second differences, folded to small numbers; low and high bytes lie apart.
+    Second differences, with their sign in the lowest bit; all low bytes, then all high bytes.
     """
     down = np.diff(codes, axis=0, prepend=np.uint16(0))
     step = np.diff(down, axis=1, prepend=np.uint16(0)).view(np.int16)

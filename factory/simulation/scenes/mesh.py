@@ -48,7 +48,7 @@ _GROUND_PX = 9  # side of the image that looks for the ground below
 _CLEAR_M = 0.3
 _AROUND = 24  # heights of the ground around a recording's beginning, to each side
 _AROUND_STEP_M = 1.0
-_HIGH_M = 5000.0  # from so far above, all rays go down
+_HIGH_M = 5000.0  # height from which rays are practically parallel
 _Metres = Annotated[float, limited(-5000, 5000, "m")]
 _Tilt = Annotated[float, limited(-90, 90, "deg")]
 Span = tuple[_Metres, _Metres]
@@ -262,6 +262,7 @@ class MeshReader:
         start = self._viewpoint(scene, "0000")
         objects = self._world.objects
         heights_m = objects.mesh.vertices[:, 2]
+        # From so far above that all rays run down: a pixel is a step of the ground.
         eye = np.array([*start.eye[:2], float(heights_m.max()) + _HIGH_M])
         size = 2 * _AROUND + 1
         down = pose(eye, 0, 90, 0)

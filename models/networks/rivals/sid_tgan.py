@@ -135,7 +135,7 @@ class SIDTGAN(AdversarialNetwork):
         self, critic: nn.Module, noisy: Tensor, clean: Tensor, denoised: Tensor
     ) -> Tensor:
         """Hinge loss of its judgements of clean and of denoised images."""
-        return hinge(critic(noisy, clean).judgement, critic(noisy, denoised).judgement)
+        return hinge(critic(noisy, clean).places, critic(noisy, denoised).places)
 
     def generator_loss(
         self, content: Tensor, critic: nn.Module, noisy: Tensor, clean: Tensor, denoised: Tensor
@@ -153,18 +153,18 @@ class SIDTGAN(AdversarialNetwork):
         unlike = 1 - functional.cosine_similarity(fake.overall, true.overall, dim=1).mean()
         weights = self.settings
         total: Tensor = content + weights.style * style + weights.similarity * unlike
-        judgement: Tensor = fake.judgement.mean()
+        judgement: Tensor = fake.places.mean()
         return total - weights.adversarial * judgement
 
 
-class Seen(NamedTuple):
-    """What the discriminator makes of an image.
+class Judgement(NamedTuple):
+    """What the discriminator says of N images.
 
-    judgement: (N, 1, H/8, W/8), positive for a clean one.  local: features of its first layers.
-    overall: (N, C) means of the last ones.
+    places: (N, 1, H/8, W/8), positive where an image looks clean.  local: features of its
+    first layers.  overall: (N, C) means of the last ones.
     """
 
-    judgement: Tensor
+    places: Tensor
     local: list[Tensor]
     overall: Tensor
 
@@ -183,7 +183,7 @@ class Discriminator(nn.Module):
         self.fused = FusedFeatures(widths[-1], settings.heads)
         self.judge = spectral_norm(nn.Conv2d(widths[-1], 1, 3, padding=1))
 
-    def forward(self, noisy: Tensor, image: Tensor) -> Seen:
+    def forward(self, noisy: Tensor, image: Tensor) -> Judgement:
         """Judge images beside their noisy ones.
 
         noisy, image: (N, 1, H, W), 16 pixels or more each way.
@@ -194,8 +194,8 @@ class Discriminator(nn.Module):
             x = functional.leaky_relu(layer(x), _SLOPE)
             local.append(x)
         x = self.fused(x)
-        judgement: Tensor = self.judge(functional.leaky_relu(x, _SLOPE))
-        return Seen(judgement, local, x.mean(dim=(2, 3)))
+        places: Tensor = self.judge(functional.leaky_relu(x, _SLOPE))
+        return Judgement(places, local, x.mean(dim=(2, 3)))
 
 
 def hinge(of_clean: Tensor, of_denoised: Tensor) -> Tensor:
