@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from .private_apis import has_compiled_form
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 _mode = {"loading": False}
 
@@ -28,10 +30,7 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
 
         dispatcher: Any = numba.njit(cache=True, **options)(function)
         for signature in signatures:
-            if (
-                _mode["loading"]
-                and dispatcher._cache.load_overload(signature, dispatcher.targetctx) is None
-            ):
+            if _mode["loading"] and not has_compiled_form(dispatcher, signature):
                 raise ImportError(f"{function.__name__} is not compiled yet")
             dispatcher.compile(signature)
         if signatures:

@@ -1,14 +1,17 @@
 """What is used of other packages without being public there.
 
-Public ways do something else: `hydra.compose` works on one global instance, and `multiprocessing`
-tells neither whether a fork server runs nor ends it.  tests/factory/common/test_private_apis.py
-fails first when an update takes one of them away.
+Public ways do something else or do not exist: `hydra.compose` works on one global instance;
+`multiprocessing` tells neither whether a fork server runs nor ends it; numba compiles a loop that
+is not on disk instead of saying so; torch ends the processes of a `DataLoader` when nothing refers
+to it any more, and offers averages of many tensors at once to its own optimisers alone.
+tests/factory/common/test_private_apis.py fails first when an update takes one of them away.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -44,3 +47,22 @@ def _fork_server() -> Any:
     from multiprocessing import forkserver  # `simnfnd --help` must not wait for it
 
     return vars(forkserver)["_forkserver"]
+
+
+def has_compiled_form(dispatcher: Any, signature: str) -> bool:
+    """Whether the machine code of a loop of numba is on disk; loads it if so."""
+    return dispatcher._cache.load_overload(signature, dispatcher.targetctx) is not None
+
+
+def end_reading_processes(loader: Any) -> None:
+    """End the processes of a `torch.utils.data.DataLoader` that keeps them; does nothing else."""
+    iterator = loader._iterator
+    if iterator is not None and loader.num_workers:
+        iterator._shutdown_workers()
+
+
+def move_averages(averages: Sequence[Any], values: Sequence[Any], share: float) -> None:
+    """Move each tensor by `share` of its distance to another, in place, all in one call."""
+    import torch
+
+    torch._foreach_lerp_(list(averages), list(values), share)

@@ -189,7 +189,7 @@ class FanGeometry:
     """Range and bearing of every pixel of one image.
 
     layout: fan (far range on top, apex at or below the lower edge; or see quarter_turns) or polar
-        (a row a range bin, near range first; a column a beam, left to right).
+        (one row per range bin, near range first; one column per beam, left to right).
     near_fraction: range_min over range_max.
     sector_rad: width of the device's whole sector, which is symmetric about straight ahead.
     azimuth_min_rad, azimuth_max_rad: the part of it that holds data, radians.
@@ -233,8 +233,8 @@ class FanGeometry:
         half = math.radians(sonar.hfov_deg) / 2
         image = sonar.image
         near_fraction = range_min_m / range_max_m
-        sector_rad = max(azimuth_min_rad, -half), min(azimuth_max_rad, half)
-        common = (image.layout, near_fraction, 2 * half, *sector_rad, range_min_m, range_max_m)
+        seen_rad = max(azimuth_min_rad, -half), min(azimuth_max_rad, half)
+        common = (image.layout, near_fraction, 2 * half, *seen_rad, range_min_m, range_max_m)
         if image.layout == "polar":
             bearings = tuple(sonar.beam_centres_rad().tolist())
             return cls(*common, range_bins=sonar.range_bins, beam_azimuths_rad=bearings)
@@ -249,8 +249,8 @@ class FanGeometry:
         """
         sonar = drawn_sonar(sonar, record)
         window = (float(record[name]) for name in ("range_min_m", "range_max_m"))
-        sector_rad = (math.radians(float(record[f"azimuth_{end}_deg"])) for end in ("min", "max"))
-        return cls.from_sonar(sonar, *window, *sector_rad)
+        seen_rad = (math.radians(float(record[f"azimuth_{end}_deg"])) for end in ("min", "max"))
+        return cls.from_sonar(sonar, *window, *seen_rad)
 
     @classmethod
     def fan(

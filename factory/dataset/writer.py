@@ -250,10 +250,10 @@ def write_index(directory: Path, manifest: Manifest) -> None:
 def _virtual(
     index: h5py.File, split: str, like: h5py.Dataset, shards: Sequence[ShardInfo]
 ) -> h5py.Dataset:
-    """A dataset put together of that of each shard.
+    """A virtual dataset that joins those of all shards.
 
-    By h5py's lower floor, where a time stamp can be left out and one extent serves all shards of a
-    size: h5py.VirtualLayout takes ten times as long.
+    Made by h5py's low-level calls, which can omit the time stamp and use one extent for all shards
+    of a size: h5py.VirtualLayout takes ten times as long.
     """
     name = str(like.name).lstrip("/")
     shape = like.shape[1:]

@@ -145,6 +145,7 @@ def denoise_shards(items: Sequence[InputFile], job: DenoisingJob) -> None:
             shards.append(_Shard(item))
         except FrameError as error:
             job.failures.append(str(error))
+    # Shards, by their `id`, whose results are written or will not be.
     finished = {id(shard) for shard in shards if shard.item in job.journal}
     job.bar.total += sum(shard.rows_left for shard in shards if id(shard) not in finished)
     for sequence in _sequences(shards):

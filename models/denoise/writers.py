@@ -64,8 +64,7 @@ def write_frames(path: Path, images: Iterable[TimedImage], source: Recording) ->
 
     images: (H, W) or (H, W, 3) BGR uint8 or uint16; of TIFF files and arrays also float32.
     A stack becomes pages of a TIFF file, an animation one of its format, an array a .npy file, a
-    video what `target_of` says.  The
-    file appears when it is whole.
+    video what `target_of` says.  The file appears once it is whole.
 
     Returns a line that says where the images are and why, if that is not `path`; mostly empty.
     Raises FactoryError when the file cannot be written.

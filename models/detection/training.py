@@ -16,6 +16,7 @@ from torch import Tensor
 
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import write_atomically
+from ...factory.common.private_apis import move_averages
 from ...factory.common.progress import progress_bar
 from ...factory.common.seeds import stream
 from .augmentation import vary
@@ -212,7 +213,7 @@ class _Training:
     def _update_average(self) -> None:
         """Move the average towards the weights, faster at first, when weights change fast."""
         keep = min(1 - 1 / _AVERAGE_STEPS, (1 + self.step) / (10 + self.step))
-        torch._foreach_lerp_(self._smooth.averages, self._smooth.values, 1 - keep)
+        move_averages(self._smooth.averages, self._smooth.values, 1 - keep)
 
     def _copy_counts(self) -> None:
         """Whole numbers, such as the batches that a norm has seen, have no average."""

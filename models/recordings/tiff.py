@@ -179,6 +179,7 @@ def _directory_at(
     file: IO[bytes], size: int, offset: int, form: _Form
 ) -> tuple[Directory, int] | None:
     """A directory and where the next one lies; None where the file ends before it does."""
+    # Bytes of the number of entries and of an entry, and the type of a place in the file.
     head, entry, link = (8, 20, "Q") if form.is_big else (2, 12, "I")
     count = next(_numbers_at(file, offset, 1, form.order + ("Q" if form.is_big else "H")), -1)
     link_place = offset + head + count * entry
@@ -192,6 +193,7 @@ def _directory_at(
         at = offset + head + number * entry
         tag, kind = _numbers_at(file, at, 2, f"{form.order}H")
         length = next(_numbers_at(file, at + 4, 1, f"{form.order}{link}"), 0)
+        # A value that fits stands in the entry itself; else its place does.
         inline = at + (12 if form.is_big else 8)
         place = inline
         if length * _SIZES.get(kind, 1) > (8 if form.is_big else 4):

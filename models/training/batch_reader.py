@@ -11,6 +11,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from ...factory.common.errors import FactoryError
+from ...factory.common.private_apis import end_reading_processes
 from ..data.crops import LANES, Crops, KeptSource, VisitSampler, concatenate
 from ..data.pairs import Batch, Data
 from ..settings import DataSettings, ModelsSettings, RenderedData
@@ -50,8 +51,7 @@ class BatchReader:
 
     def close(self) -> None:
         """End the reading processes, which the traceback of an error would keep alive."""
-        stop = getattr(self._batches._iterator, "_shutdown_workers", lambda: None)
-        stop()
+        end_reading_processes(self._batches)
 
 
 def innermost_message(error: FactoryError) -> str:

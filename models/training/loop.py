@@ -21,6 +21,7 @@ from torch.optim.swa_utils import AveragedModel
 
 from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
+from ...factory.common.private_apis import move_averages
 from ...factory.common.progress import progress_bar
 from ...factory.common.seeds import stream
 from ..data.pairs import Batch
@@ -238,7 +239,7 @@ def running_average(decay: float) -> Callable[..., None]:
     @torch.no_grad()
     def update(average: list[Tensor], current: list[Tensor], count: Tensor | int) -> None:
         keep = min(decay, (1 + int(count)) / (10 + int(count)))
-        torch._foreach_lerp_(average, current, 1 - keep)
+        move_averages(average, current, 1 - keep)
 
     return update
 

@@ -40,7 +40,7 @@ _LARGEST_POINTS_PX = 512
 _DARKEST = 0.8
 """Share of the median echo's grey value; a display with no darker pixel shows nothing."""
 _ODD = ("spokes", "ghosts", "gains")
-"""Artefacts that many recordings do not have; seen always, they teach to take detail for them."""
+"""Artefacts that many recordings lack: a network that always saw them takes detail for them."""
 
 
 class DrawnSettings(Protocol):
@@ -110,13 +110,13 @@ def columns(settings: DeviceSettings) -> tuple[Column, ...]:
 
 
 def configured(config: Config, device: DrawnDevice, *, any_size: bool) -> Config:
-    """The configuration of one image by this device, but for what depends on its window.
+    """The configuration of one image by this device, except for what depends on its window.
 
     any_size: whether images may differ in size and layout; else they keep `sonar.image`.
     """
     drawn = device.values
     sonar = config.sonar
-    points = device.formation == "pointwise"
+    is_pointwise = device.formation == "pointwise"
     image = _image(config.sonar.image, device, any_size=any_size)
     range_bins = sonar.range_bins
     if "bins_per_px" in drawn:
@@ -143,7 +143,7 @@ def configured(config: Config, device: DrawnDevice, *, any_size: bool) -> Config
         # Scintillation beside speckle that is new in every ping cannot be told from it.
         noise = replace(noise, scintillation=replace(noise.scintillation, enabled=False))
     changed: dict[str, Any] = {"acoustics": acoustics, "noise": noise, "devices": None}
-    if points:
+    if is_pointwise:
         sonar = _points(sonar, any_size)
         transfer = replace(sonar.transfer, full_scale_db=None)
         # None of these reaches pointwise images.
@@ -159,14 +159,15 @@ def configured(config: Config, device: DrawnDevice, *, any_size: bool) -> Config
 def _image(image: FanSettings, device: DrawnDevice, *, any_size: bool) -> FanSettings:
     """The image of the device; see `configured`."""
     drawn = device.values
-    points = device.formation == "pointwise"
+    is_pointwise = device.formation == "pointwise"
     changed: dict[str, Any] = {}
     if any_size and "height_px" in drawn:
         changed["height_px"] = round(drawn["height_px"])
-    if any_size and drawn.get("polar_share") and not points:
+    if any_size and drawn.get("polar_share") and not is_pointwise:
         changed["layout"] = "polar"
     if "nearest_share" in drawn:
-        changed["sampling"] = "nearest" if drawn["nearest_share"] and not points else "bilinear"
+        shows_nearest = drawn["nearest_share"] and not is_pointwise
+        changed["sampling"] = "nearest" if shows_nearest else "bilinear"
     if "enlarged" in drawn:
         is_enlarged = drawn.get("enlarged_share", 1.0)
         changed["enlarged"] = min(max(drawn["enlarged"], 1.0), 4.0) if is_enlarged else 1.0

@@ -156,6 +156,7 @@ RENDER_CODE = (
     "common/files.py",
     "common/isolated.py",
     "common/limits.py",
+    "common/private_apis.py",
     "common/quiet.py",
     "common/seeds.py",
     "common/settings.py",

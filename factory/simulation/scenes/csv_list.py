@@ -119,7 +119,7 @@ class CsvListReader:
         fitting = [f" and fit {w}x{h}" for (w, h), misfit in misfits.items() if misfit is None]
         raise FactoryError(
             f"{key}: images of {len(misfits)} sizes, {', '.join(examples[:3])}; scenes.intrinsics "
-            f"are of one{fitting[0] if len(fitting) == 1 else ''}; list the frames of each size "
+            f"fit one{fitting[0] if len(fitting) == 1 else ''}; list the frames of each size "
             "apart"
         )
 
@@ -187,15 +187,15 @@ def _named(folder: Path, rows: list[tuple[str, str, str]]) -> list[FrameRef]:
         depth_file = os.path.normpath(folder / depth)
         distinct.setdefault((image_file, depth_file, scene), (rgb, depth))
 
-    stems = Counter((scene, Path(rgb).stem) for rgb, _, scene in rows)
-    paths = Counter((scene, _dashed(rgb)) for (*_, scene), (rgb, _) in distinct.items())
+    stem_counts = Counter((scene, Path(rgb).stem) for rgb, _, scene in rows)
+    path_counts = Counter((scene, _dashed(rgb)) for (*_, scene), (rgb, _) in distinct.items())
     frames: dict[tuple[str, str], FrameRef] = {}
     for (*_, scene), (rgb, depth) in distinct.items():
         name = Path(rgb).stem
-        if stems[scene, name] > 1:
+        if stem_counts[scene, name] > 1:
             name = _dashed(rgb)
-        if paths[scene, name] > 1 and stems[scene, Path(rgb).stem] > 1:
-            name = f"{_dashed(rgb, keep_suffix=True)}-{_dashed(depth)}"
+            if path_counts[scene, name] > 1:
+                name = f"{_dashed(rgb, keep_suffix=True)}-{_dashed(depth)}"
         name = shortened(name, LONGEST_NAME)
         unique = name
         number = 2

@@ -159,8 +159,8 @@ def check_tracks(movers: Sequence[Mover]) -> None:
     needed_bytes = sum(count * size for count, size in zip(counts, sizes, strict=True))
     if needed_bytes > TRACKS_BYTES:
         raise ValueError(
-            f"dataset.columns: tracks hold about {TRACKS_BYTES // max(sizes)} objects a frame, and "
-            f"up to {sum(counts)} move; give scenes.moving_objects less per_place or school.count, "
+            f"dataset.columns: tracks hold about {TRACKS_BYTES // max(sizes)} objects per frame, "
+            f"and up to {sum(counts)} move; give scenes.moving_objects less per_place or school.count, "
             "or leave tracks out"
         )
 
@@ -228,7 +228,7 @@ def _check_waypoints(route: Waypoints, path: Path, line_numbers: list[int]) -> N
         index = int(np.argmax(speeds_m_s > FASTEST_M_S)) + 1
         raise FactoryError(
             f"{path}:{line_numbers[index]}: {speeds_m_s[index - 1]:.3g} m/s since the line before; "
-            f"at most {FASTEST_M_S:g} m/s go"
+            f"at most {FASTEST_M_S:g} m/s are allowed"
         )
 
 

@@ -9,7 +9,10 @@ from pathlib import Path
 from simnfnd.factory.common import private_apis
 from tests.project_files import ROOT
 
-NAMES = ("hydra._internal", "_forkserver_pid", '"_forkserver"')
+NAMES = (
+    *("hydra._internal", "_forkserver_pid", '"_forkserver"'),
+    *("._cache.load_overload", "_shutdown_workers", "torch._foreach"),
+)
 
 
 def test_hydra_has_a_loader_without_its_global_instance() -> None:
@@ -25,6 +28,29 @@ def test_the_fork_server_tells_its_process_and_can_be_stopped() -> None:
     assert callable(server._stop)
     process_id = private_apis.fork_server_pid()
     assert process_id is None or process_id > 0
+
+
+def test_numba_says_whether_a_loop_is_on_disk() -> None:
+    from simnfnd.factory.common.elementary import FLOATS, ranked
+
+    signature = f"void({FLOATS}, int64[::1], float32[::1])"
+    assert private_apis.has_compiled_form(ranked, signature)
+    assert not private_apis.has_compiled_form(ranked, "void(int8)")
+
+
+def test_torch_ends_reading_processes_and_averages_many_tensors() -> None:
+    import torch
+    from torch.utils.data import DataLoader
+
+    loader = DataLoader([0, 1], num_workers=1, persistent_workers=True)
+    private_apis.end_reading_processes(loader)
+    assert next(iter(loader)) == 0
+    processes = loader._iterator._workers  # type: ignore[union-attr]
+    private_apis.end_reading_processes(loader)
+    assert not any(process.is_alive() for process in processes)
+    averages = [torch.zeros(2), torch.ones(1)]
+    private_apis.move_averages(averages, [torch.ones(2), torch.ones(1)], 0.25)
+    assert [average.tolist() for average in averages] == [[0.25, 0.25], [1.0]]
 
 
 def test_they_stand_in_one_module() -> None:

@@ -66,7 +66,7 @@ def take(
     else:
         clear_m = FAR_M
         keep = depth_m < _FURTHEST_M
-    segmentation, instance = (of * (range_m < clear_m) for of in z_buffer.shown)
+    segmentation, instance = (plane * (range_m < clear_m) for plane in z_buffer.shown)
     height_m = world.terrain.height_m(*viewpoint.eye[:2, None])[0]
     return Frame(
         ref=ref,
@@ -174,6 +174,7 @@ def measured(rng: Draws, depth_m: Float32s, range_m: Float32s, clear_m: float) -
     ragged = np.minimum(np.float32(0.06) * broad + np.float32(0.03) * grain, np.float32(0.2))
     keep = range_m < clear_m * (1 + ragged)
     keep &= ~_behind_edges(near_m, broad + grain, scale)
+    # What is missing so far counts towards the share that shall be missing.
     missing_share = 0.08 + 0.3 * rng.random() ** 2 - float(1 - keep.mean())
     if missing_share > 0 and keep.any():
         doubt = _matching_doubt(range_m, broad, grain, clear_m)
@@ -240,6 +241,7 @@ _LOOKOUT_PITCH_DEG = 20
 _CANDIDATE_YAWS_DEG = (0, 14, -14, 28, -28, 45, -45, 70, -70)
 _CANDIDATE_LOWERS_DEG = (0, -5, 8, 16)
 _PITCH_LIMITS_DEG = (8, 35)
+_MOST_MISSING = 0.42  # share of a view without a depth; it is penalised from a little less on
 _PENALTY_PER_LOWERED_DEG = 0.01
 # Between walls the way ahead is the view; in the open the camera turns to what lies there.
 _PENALTY_PER_TURNED_DEG = 0.004
@@ -363,7 +365,7 @@ def _view_penalty(view: _RoughView, clear_m: float, first_own: int) -> float:
         middle_m = float(np.median(view.depth_m[view.has_surface]))
 
     # Up to a third out of sight is fine; none at all is not.
-    penalty = 8 * max(missing_share - 0.34, 0) + 60 * max(missing_share - 0.42 + 0.06, 0)
+    penalty = 8 * max(missing_share - 0.34, 0) + 60 * max(missing_share - _MOST_MISSING + 0.06, 0)
     penalty += 30 * max(0.03 - missing_share, 0)
     # Little right before the lens, and most at middle range.
     penalty += 12 * max(near_share - 0.02, 0)
