@@ -160,8 +160,8 @@ def check_tracks(movers: Sequence[Mover]) -> None:
     if needed_bytes > TRACKS_BYTES:
         raise ValueError(
             f"dataset.columns: tracks hold about {TRACKS_BYTES // max(sizes)} objects per frame, "
-            f"and up to {sum(counts)} move; give scenes.moving_objects less per_place or school.count, "
-            "or leave tracks out"
+            f"and up to {sum(counts)} move; give scenes.moving_objects less per_place or "
+            "school.count, or leave tracks out"
         )
 
 
