@@ -53,7 +53,7 @@ def _parsed(arguments: Sequence[str]) -> Any:
         "recordings",
         nargs="+",
         metavar="IN",
-        help="folder, video, .aris, .ddf or .raw to learn from; several count alike",
+        help="folder, video, .aris, .ddf or .raw to learn from; several have equal weight",
     )
     parser.add_argument(
         "--out", required=True, metavar="FILE", help="file to write, NAME.safetensors"

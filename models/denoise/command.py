@@ -201,7 +201,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
         "values of black and white in float pings and images, such as -60 0 (default: 0 1)"
     )
     add("--levels", type=float, nargs=2, metavar=("BLACK", "WHITE"), help=levels_help)
-    add("--again", action="store_true", help="denoise all files, also finished ones")
+    add("--again", action="store_true", help="denoise all files, finished ones too")
     topics_help = "topic of a bag to denoise (may be repeated; default: those of sonars)"
     add("--topic", action="append", default=[], metavar="NAME", help=topics_help)
     add(

@@ -39,7 +39,7 @@ _DEVICE_COLUMNS = {f"device_{field.name}": field.name for field in fields(Record
 _HELP = """\
 RECORDING (ARIS, DDF, Oculus, a bag, a video, a stack, arrays, a folder of images; recorded or
 denoised) instead of a dataset:
-  --to mp4    a video that any player shows, pings as fans; lossy, for looking
+  --to mp4    a video that any player shows, pings as fans; lossy, for viewing
   --to png    an image of each frame, pings as fans
   --to csv    a table of frames: number, times, range window, pose and device
   --out       a new folder, or the name of the .mp4 or .csv file

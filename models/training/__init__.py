@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
@@ -14,26 +12,17 @@ from omegaconf import DictConfig, OmegaConf
 
 from ...factory.common.settings import build
 from ...factory.production.cli import run_app
+from ...factory.production.cli.hydra_loader import help_word
 from .. import WEIGHTS_NAME
 
 
 def main(words: Sequence[str]) -> int:
     """Train as the configuration says; returns the exit code."""
     if {"--help", "-h"} & set(words):
-        words = [*words, f"hydra.help.template='{_help()}'"]
+        words = [help_word("train", ("data", "model", "loss")), *words]
     from ..settings import ModelsSettings
 
     return run_app(run, "models", words, ModelsSettings)
-
-
-def _help() -> str:
-    """Hydra's help with the groups of this configuration alone."""
-    lines = ["== Configuration groups (GROUP=NAME) =="]
-    for group in ("data", "model", "loss"):
-        choices = files("simnfnd.conf").joinpath(group).iterdir()
-        names = (Path(choice.name).stem for choice in choices)
-        lines.append(f"{group}: {', '.join(sorted(names))}")
-    return "\n".join([*lines, "", "== Keys (KEY=VALUE) ==", "$CONFIG"])
 
 
 def run(config: DictConfig) -> None:

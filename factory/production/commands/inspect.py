@@ -25,7 +25,7 @@ def main(words: list[str]) -> None:
     parser = Parser(prog="simnfnd inspect")
     parser.add_argument("path", help="folder or URL of a dataset")
     parser.add_argument(
-        "--pairs", type=int, default=200, help="measure at most so many pairs (200)"
+        "--pairs", type=int, default=200, help="measure at most this many pairs (200)"
     )
     arguments = parser.parse_args(words)
     print("\n".join(report(local_folder(arguments.path), str(arguments.path), arguments.pairs)))

@@ -12,12 +12,16 @@ from pathlib import Path
 from ...common.workers import template
 from ..cli import PRELOADED, run_app
 from ..cli.extras import install_command
-from ..cli.hydra_loader import config_folder_words
+from ..cli.hydra_loader import config_folder_words, help_word
 
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
 # Words that say nothing of the profile: with others, one dataset is what was asked for.
 _OF_BOTH = ("render", "scenes.", "frames.", "scheduler", "seed=", "cache.", "dataset.dir=")
 _FOLDER = "dataset.dir="
+_GROUPS = (
+    *("scenes", "scenes/objects", "render", "noise", "resample", "sonar", "acoustics", "devices"),
+    *("water", "dataset", "cache", "scheduler", "experiment"),
+)
 
 
 def main(words: Sequence[str]) -> int:
@@ -26,6 +30,8 @@ def main(words: Sequence[str]) -> int:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
 
+    if {"--help", "-h"} & set(words):
+        words = [help_word("make", _GROUPS), *words]
     if _makes_here(words):
         # Now, so that it loads beside what this process has to load.
         template.start(PRELOADED)

@@ -95,16 +95,32 @@ def test_bad_command_lines_are_one_line(
     assert not list(tmp_path.iterdir())
 
 
-def test_help_names_the_groups_of_a_training_alone(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("verb", "first", "last", "key"),
+    [
+        ("train", "data", "loss", "learning_rate: 0.001"),
+        ("demo", "scenes", "experiment", "seed: 0"),
+    ],
+)
+def test_help_names_the_groups_of_its_verb_alone(
+    verb: str,
+    first: str,
+    last: str,
+    key: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
     with pytest.raises(SystemExit):
-        main(["train", "--help"])
+        main([verb, "--help"])
     printed = capfd.readouterr().out
-    groups = re.findall(r"^(\w+): \w+, ", printed, re.MULTILINE)
-    assert groups == ["data", "model", "loss"]
-    assert "learning_rate: 0.001" in printed
+    groups = dict(
+        re.findall(r"^([\w/]+): ([\w, ]+)$", printed.partition("== Keys")[0], re.MULTILINE)
+    )
+    assert (next(iter(groups)), list(groups)[-1]) == (first, last)
+    assert ("model" in groups) == (verb == "train")
+    assert "ship" not in groups.get("experiment", "")
+    assert key in printed
 
 
 def test_output_that_cannot_be_written(dataset: Path, tmp_path: Path) -> None:
