@@ -123,19 +123,18 @@ class Denoiser:
 
     def _denoise_whole(self, grey: Float32s, maps: Maps) -> Float32s:
         tiles: list[tuple[float, int]] = []
+        # The head that weighs knows single frames; of means it takes too little.
+        weighs = "frames" not in maps or maps["frames"].mean() <= averaged(_SEVERAL)
 
         def denoise_tile(part: Float32s, maps: Maps) -> Float32s:
-            denoised, weight = self.runtime.run(part, maps)
-            tiles.append((weight, part.size))
+            denoised, weight = self.runtime.run(part, maps, weighs=bool(weighs))
+            tiles.append((1.0 if weight is None else weight, part.size))
             return denoised
 
         denoised = tiled(denoise_tile, grey, maps, self.tile, self.overlap)
         # One weight for the whole image: single tiles with less change would be visible.
         weights, areas = zip(*tiles, strict=True)
-        weight = np.float32(np.average(weights, weights=areas))
-        if "frames" in maps and maps["frames"].mean() > averaged(_SEVERAL):
-            # The head that weighs knows single frames; of means it takes too little.
-            weight = np.float32(1)
+        weight = np.float32(np.average(weights, weights=areas) if weighs else 1)
         result = np.asarray(np.clip(grey + weight * (denoised - grey), 0, 1), np.float32)
         if not np.isfinite(result).all():
             raise FactoryError(f"weights={self.name}: make NaN of this image; train again")

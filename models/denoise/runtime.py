@@ -8,7 +8,7 @@ grid (`polar`), the sector.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +21,7 @@ from ...factory.production.cli.extras import Need, require
 from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
-from ..pretrained.graphs import Graph, find_runnable, unknown_graph
+from ..pretrained.graphs import Form, Graph, find_runnable, unknown_graph
 from .polar import Maps, polar_grid, sampled
 
 _PROBE_SHAPE = (96, 128)
@@ -51,7 +51,7 @@ def check_network(weights: Path, network: OnnxNetwork | TorchNetwork) -> None:
     speckle = np.clip(rng.rayleigh(0.2, _PROBE_SHAPE), 0, 1).astype(np.float32)
     with np.errstate(all="ignore"):
         estimate, weight = network.run(speckle, {})
-        denoised = speckle + np.float32(weight) * (estimate - speckle)
+        denoised = speckle + np.float32(weight or 0) * (estimate - speckle)
     # The estimate itself, for a small weight would hide that it is a single grey value.
     estimated_range = np.ptp(np.clip(estimate, 0, 1))
     if not np.isfinite(denoised).all() or estimated_range < _LEAST_RANGE:
@@ -102,14 +102,24 @@ def give_weights(options: Any, weights: Mapping[str, Array]) -> list[Any]:
     return [arrays, ort_values]
 
 
+def used_weights(weights: Mapping[str, Array], content: bytes) -> dict[str, Array]:
+    """Those weights that a graph names."""
+    return {name: values for name, values in weights.items() if name.encode() in content}
+
+
 class _Session(NamedTuple):
-    """A session of onnxruntime, and the arrays whose memory it uses: keep them as long as it."""
+    """A session of onnxruntime, the names of its inputs and outputs.
+
+    shared_arrays: whose memory it uses: keep them as long as it.
+    """
 
     session: Any
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
     shared_arrays: list[Any]
 
 
-def _session_of(graph: Graph, weights: Mapping[str, Array], providers: list[str]) -> _Session:
+def _session_of(content: bytes, weights: Mapping[str, Array], providers: list[str]) -> _Session:
     """Open a session of a graph with these weights."""
     import onnxruntime
 
@@ -119,8 +129,10 @@ def _session_of(graph: Graph, weights: Mapping[str, Array], providers: list[str]
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     named = {f"network.{name}": tensor for name, tensor in weights.items()}
     shared_arrays = give_weights(options, named)
-    session = onnxruntime.InferenceSession(graph.content, options, providers=providers)
-    return _Session(session, shared_arrays)
+    session = onnxruntime.InferenceSession(content, options, providers=providers)
+    inputs = tuple(node.name for node in session.get_inputs())
+    outputs = tuple(node.name for node in session.get_outputs())
+    return _Session(session, inputs, outputs, shared_arrays)
 
 
 class OnnxNetwork:
@@ -138,16 +150,15 @@ class OnnxNetwork:
 
         cuda = "CUDAExecutionProvider"
         self.on_gpu = _on_gpu(device, cuda in onnxruntime.get_available_providers())
-        providers = [*[cuda] * self.on_gpu, "CPUExecutionProvider"]
-        header, weights = read_weights(path)
-        try:
-            opened = _session_of(graph, weights, providers)
-        except Exception as error:  # onnxruntime has a class of its own for each reason
-            reason = " ".join(str(error).split())[:160]
-            raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
-        self._session = opened.session
-        self._shared_arrays = opened.shared_arrays
-        facts = self._session.get_modelmeta().custom_metadata_map
+        self._providers = [*[cuda] * self.on_gpu, "CPUExecutionProvider"]
+        header, self._weights = read_weights(path)
+        self._path = path
+        self._forms = graph.forms()
+        self._sessions: dict[Form, _Session] = {}
+        # Weights that ship fit; others are tried with all layers.
+        is_own = path not in shipped().values()
+        opened = self._opened("single" if "single" in self._forms and not is_own else "whole")
+        facts = opened.session.get_modelmeta().custom_metadata_map
         if not {"extras", "stride"} <= facts.keys() or not facts["stride"].isdigit():
             raise FactoryError(
                 f"{graph.path}: was not made by `simnfnd export-weights --to runtime`; "
@@ -163,28 +174,30 @@ class OnnxNetwork:
         self.is_polar = bool(model["polar"])
         self._mask = bool(model["mask"])
         self._last_geometry: GeometryInputs | None = None
-        self._inputs = tuple(node.name for node in self._session.get_inputs())
 
-    def run(self, grey: Float32s, maps: Maps) -> tuple[Float32s, float]:
+    def run(
+        self, grey: Float32s, maps: Maps, *, weighs: bool = True
+    ) -> tuple[Float32s, float | None]:
         """Return the image (H, W) with its whole change, and the part of it to apply, 0 to 1.
 
         grey: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
+        weighs: whether that part is needed; None may come back otherwise.
         """
         grid = polar_grid(maps) if self.is_polar and "azimuth_rad" in maps else None
         if grid is None:
-            inputs = inputs_of(grey, maps, self._stride, self._geometry_of(grey.shape, maps))
+            geometry = self._geometry_of(grey.shape, maps)
+            inputs = inputs_of(grey, maps, geometry)
         else:
             sector = sampled(maps.get("sector", np.ones_like(grey)), grid.cells_in_fan)
             cells = {**grid.cells, "sector": sector}
             cell_values = sampled(grey, grid.cells_in_fan)
-            geometry = GeometryInputs.of(cell_values.shape, cells, self._stride, is_grid=True)
-            inputs = inputs_of(cell_values, cells, self._stride, geometry)
+            geometry = self._prepared(cell_values.shape, cells, is_grid=True)
+            inputs = inputs_of(cell_values, cells, geometry)
 
-        changes, shadow_logits, weight = self._session.run(
-            ["change", "shadow_logits", "weight"], {name: inputs[name] for name in self._inputs}
-        )
-        change = changes[0, 0]
-        logits = shadow_logits[0, 0]
+        opened = self._opened(self._form_of(inputs["frames"], weighs))
+        outputs = opened.session.run(opened.outputs, {name: inputs[name] for name in opened.inputs})
+        change = outputs[0][0, 0]
+        logits = outputs[1][0, 0]
         if grid is not None:
             change = sampled(change, grid.pixels_in_grid)
             logits = sampled(logits, grid.pixels_in_grid)
@@ -194,28 +207,61 @@ class OnnxNetwork:
             image = image / (1 + np.exp(np.minimum(logits, _MOST)))
         if "sector" in maps:
             image = np.where(maps["sector"] > 0, image, grey)
-        return np.asarray(image, np.float32), float(weight[0])
+        weight = float(outputs[2][0]) if len(outputs) == 3 else None
+        return np.asarray(image, np.float32), weight
+
+    def _form_of(self, frames: Float32s, weighs: bool) -> Form:
+        """The graph that computes no more than is needed."""
+        if "single" in self._forms and not frames.any():
+            return "single"
+        return "whole" if weighs or "window" not in self._forms else "window"
+
+    def _opened(self, form: Form) -> _Session:
+        """The session of a form of the graph.  Raises FactoryError for weights that do not fit."""
+        if form not in self._sessions:
+            content = self._forms[form]
+            used = self._weights if form == "whole" else used_weights(self._weights, content)
+            try:
+                self._sessions[form] = _session_of(content, used, self._providers)
+            except Exception as error:  # onnxruntime has a class of its own for each reason
+                reason = " ".join(str(error).split())[:160]
+                raise FactoryError(
+                    f"weights={self._path}: do not fit their network: {reason}"
+                ) from error
+        return self._sessions[form]
 
     def _geometry_of(self, shape: tuple[int, ...], maps: Maps) -> GeometryInputs:
         """The inputs of the geometry; those of the last image where it has the same maps."""
         last = self._last_geometry
         if last is None or not last.is_of(shape, maps):
-            last = GeometryInputs.of(shape, maps, self._stride)
+            last = self._prepared(shape, maps)
             self._last_geometry = last
         return last
+
+    def _prepared(
+        self, shape: tuple[int, ...], maps: Maps, *, is_grid: bool = False
+    ) -> GeometryInputs:
+        features_of = self._features if "geometry" in self._forms else None
+        return GeometryInputs.of(
+            shape, maps, self._stride, is_grid=is_grid, features_of=features_of
+        )
+
+    def _features(self, maps: Float32s) -> Float32s:
+        """What the first layer makes of the maps, (1, 3, H, W) -> (cells, C)."""
+        (features,) = self._opened("geometry").session.run(["features"], {"maps": maps})
+        return np.asarray(features, np.float32)
 
 
 class GeometryInputs(NamedTuple):
     """What a graph gets of the geometry of an image; see `inputs_of`.
 
     shape: (H, W) of the image.  sources: the maps that the inputs were made from.
+    named: the inputs by their names.
     """
 
     shape: tuple[int, ...]
     sources: tuple[Float32s | None, ...]
-    maps: Float32s
-    beams: Int64s
-    arcs: Int64s
+    named: dict[str, Array]
 
     def is_of(self, shape: tuple[int, ...], maps: Maps) -> bool:
         """Whether they belong to these very arrays."""
@@ -226,16 +272,27 @@ class GeometryInputs(NamedTuple):
 
     @classmethod
     def of(
-        cls, shape: tuple[int, ...], maps: Maps, stride: int, *, is_grid: bool = False
+        cls,
+        shape: tuple[int, ...],
+        maps: Maps,
+        stride: int,
+        *,
+        is_grid: bool = False,
+        features_of: Callable[[Float32s], Float32s] | None = None,
     ) -> GeometryInputs:
-        """is_grid: whether columns are beams and rows ranges, evenly."""
+        """is_grid: whether columns are beams and rows ranges, evenly.
+
+        features_of: what the graph `geometry` makes of the maps; None: the graph is of a version
+            that has none.
+        """
         rows, columns = (-(-side // stride) * stride // 2 for side in shape)
         # Columns count as beams and rows as arcs where nothing else is known.
         arcs, beams = np.indices((rows, columns))
         nothing = np.zeros(shape, np.float32)
         planes = nothing, nothing, nothing - 1  # values that no known geometry has
+        sector = np.ones(shape, np.float32)
         if "azimuth_rad" in maps:
-            sector = maps.get("sector", np.ones(shape, np.float32))
+            sector = maps.get("sector", sector)
             radius = maps["range_fraction"]
             azimuth = maps["azimuth_rad"]
             planes = 2 * radius - 1, azimuth, 1 - sector
@@ -244,31 +301,66 @@ class GeometryInputs(NamedTuple):
                 beams = _line_numbers(_cells(azimuth, stride), inside, columns)
                 arcs = _line_numbers(_cells(radius, stride), inside, rows)
         stacked = np.stack(planes)[None].astype(np.float32)
-        sources = tuple(maps.get(name) for name in GEOMETRY)
-        return cls(shape, sources, stacked, beams.reshape(1, -1), arcs.reshape(1, -1))
+        named: dict[str, Array] = {
+            "maps": stacked,
+            "beams": beams.reshape(1, -1),
+            "arcs": arcs.reshape(1, -1),
+        }
+        if features_of is not None:
+            is_inside = (_cells(sector, stride) > 0).ravel()
+            named["outside"] = np.ascontiguousarray(stacked[:, 2:])
+            named["features"] = features_of(stacked)
+            named |= _line_inputs("beam", beams.ravel(), is_inside, columns)
+            named |= _line_inputs("arc", arcs.ravel(), is_inside, rows)
+        return cls(shape, tuple(maps.get(name) for name in GEOMETRY), named)
 
 
-def inputs_of(
-    grey: Float32s, maps: Maps, stride: int, geometry: GeometryInputs | None = None
-) -> dict[str, Any]:
-    """Return the inputs of a graph of `--to runtime` for an image, (H, W) in 0..1.
+def inputs_of(grey: Float32s, maps: Maps, geometry: GeometryInputs) -> dict[str, Array]:
+    """Return the inputs of the graphs of `--to runtime` for an image, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
     all of the image, `frames` (log2 of how many were averaged) where these are several.
-    geometry: what `GeometryInputs.of` makes of the maps, where it is known already.
-    Returns `noisy` and `frames` (1, 1, H, W), `maps` (1, 3, H, W), `beams` and `arcs` (1, cells)
-    int64, the line of each cell at half resolution, and `remove` (1, 6).
+    Returns `noisy`, `frames` and `outside` (1, 1, H, W), `maps` (1, 3, H, W), `features` (cells, C)
+    and for beams and arcs the parts of `networks.folded.LineTable`, such as `beam_chunks`, of cells
+    at half resolution; `remove` (1, 6).  `beams` and `arcs` (1, cells) are for graphs of versions
+    before 0.6.
     """
-    if geometry is None:
-        geometry = GeometryInputs.of(grey.shape, maps, stride)
     frames = maps["frames"] if "frames" in maps else np.zeros_like(grey)
     return {
+        **geometry.named,
         "noisy": np.ascontiguousarray(grey, np.float32)[None, None],
-        "maps": geometry.maps,
-        "beams": geometry.beams,
-        "arcs": geometry.arcs,
         "frames": np.ascontiguousarray(frames, np.float32)[None, None],
         "remove": vector(DEFAULT)[None],
+    }
+
+
+_CHUNK = 32  # cells of a line that are summed first
+
+
+def _line_inputs(line: str, numbers: Int64s, is_inside: Bools, count: int) -> dict[str, Array]:
+    """The parts of `networks.folded.LineTable` by their names.
+
+    line: `beam` or `arc`.  numbers: (cells,) line of each cell, below `count`.  is_inside: (cells,)
+    where the sonar measured.
+    """
+    inside = np.flatnonzero(is_inside)
+    order = np.argsort(numbers[inside], kind="stable")
+    cells = inside[order]
+    line_of_cell = numbers[cells]
+    counts = np.bincount(line_of_cell, minlength=count)
+    rank = np.arange(len(cells)) - np.repeat(np.cumsum(counts) - counts, counts)
+    chunk_counts = -(-counts // _CHUNK)
+    first_chunks = np.cumsum(chunk_counts) - chunk_counts
+    # At least one, so that no graph gets an empty array.
+    chunks = np.full((max(int(chunk_counts.sum()), 1), _CHUNK), len(numbers), np.int64)
+    chunks[first_chunks[line_of_cell] + rank // _CHUNK, rank % _CHUNK] = cells
+    lines = np.zeros(len(chunks), np.int64)
+    lines[: int(chunk_counts.sum())] = np.repeat(np.arange(count), chunk_counts)
+    return {
+        f"{line}_number": np.ascontiguousarray(numbers, np.int64),
+        f"{line}_chunks": chunks,
+        f"{line}_lines": lines,
+        f"{line}_counts": counts.astype(np.float32),
     }
 
 
@@ -310,7 +402,9 @@ class TorchNetwork:
         self.wide_grain = network.wide_grain
         self.average_cells = network.average_cells
 
-    def run(self, grey: Float32s, maps: Maps) -> tuple[Float32s, float]:
+    def run(
+        self, grey: Float32s, maps: Maps, *, weighs: bool = True
+    ) -> tuple[Float32s, float | None]:
         """See `OnnxNetwork`."""
         import torch
 

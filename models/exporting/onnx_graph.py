@@ -21,14 +21,20 @@ from ...factory import __version__
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, sha256_of, write_atomically
 from ...factory.dataset.fan_geometry import FanGeometry
-from ..denoise.runtime import give_weights, inputs_of, structure
+from ..denoise.runtime import (
+    GeometryInputs,
+    give_weights,
+    inputs_of,
+    structure,
+    used_weights,
+)
 from ..networks import DEFAULT, GEOMETRY, vector
-from ..networks.folded import RowLines
+from ..networks.folded import LineTable, LineTables, geometry_features
 from ..networks.line_context import MapLines
 from ..networks.network import Network, padded
 from ..networks.sonarnet import SonarNet
-from ..networks.weights import load_weights
-from ..pretrained.graphs import remember
+from ..networks.weights import Trained, load_weights
+from ..pretrained.graphs import Form, packed, remember
 
 OPSET = 18  # GridSample and sums by ScatterElements came with 16, LayerNormalization with 17
 Layout = Literal["none", "fan", "polar"]
@@ -89,6 +95,11 @@ class Graph(nn.Module):
         change = heads.weight[:, None, None, None] * (heads.image - noisy)
         return (noisy + change).clamp(0, 1), heads.weight
 
+    def expected(self, inputs: Inputs) -> tuple[Tensor, ...]:
+        """What the file must compute of inputs as of `example`."""
+        outputs: tuple[Tensor, ...] = self(*inputs.values())
+        return outputs
+
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
         """Speckle in a sector of 60 degrees, and the other inputs for it."""
         maps = _maps("fan" if self.layout == "fan" else "polar", height, width)
@@ -102,15 +113,17 @@ class RuntimeGraph(Graph):
     """What `sonarnet` computes of one image, given the inputs of `denoise.runtime.inputs_of`.
 
     `sonarnet` shares features among the cells (pixels at half resolution) of one beam and of one
-    arc, cells of equal range.  The numbers of each cell's beam and arc are inputs, so one graph
-    serves fans, polar images and images of unknown geometry.
-    Outputs: `change` and `shadow_logits` (1, 1, H, W); `weight` (1,), the factor on the change.
+    arc, cells of equal range.  The cells of each beam and arc are inputs, so one graph serves fans,
+    polar images and images of unknown geometry.  What the first layer makes of the geometry is an
+    input, too: the graph `geometry` computes it once for all images that share it.
+    Outputs: `change` and `shadow_logits` (1, 1, H, W); `weight` (1,), the factor on the change; of
+    the form `geometry`: `features` (cells, C).  See `Form`.
     """
 
     tolerance: ClassVar[float] = 1e-5
     network: SonarNet
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: Network, form: Form = "whole") -> None:
         """Set the names and the open sizes of inputs and outputs.
 
         Raises FactoryError for a network that the runtime has no inputs for.
@@ -120,29 +133,69 @@ class RuntimeGraph(Graph):
             raise FactoryError(
                 "--to runtime: is for model=sonarnet; use --to onnx for other networks"
             )
-        conditions = [name for name in ("frames", "remove") if name in network.extras]
-        self.inputs = ("noisy", "maps", "beams", "arcs", *conditions)
-        self.outputs = ("change", "shadow_logits", "weight")
-        images = sorted({*self.inputs, *self.outputs} - {"beams", "arcs", "remove", "weight"})
-        self.axes = {name: {2: "height", 3: "width"} for name in images}
-        self.axes |= {name: {1: "cells"} for name in ("beams", "arcs")}
+        self.form = form
+        unused = {"frames"} if form == "single" else set()
+        conditions = [
+            name for name in ("frames", "remove") if name in network.extras and name not in unused
+        ]
+        lines = [f"{line}_{part}" for line in ("beam", "arc") for part in LineTable._fields]
+        self.inputs = ("noisy", "outside", "features", *lines, *conditions)
+        self.outputs = ("change", "shadow_logits", "weight")[: 2 if form == "window" else 3]
+        if form == "geometry":
+            self.inputs = ("maps",)
+            self.outputs = ("features",)
+        images = {"noisy", "outside", "maps", "frames", "change", "shadow_logits"}
+        self.axes = {
+            name: {2: "height", 3: "width"}
+            for name in sorted(images & {*self.inputs, *self.outputs})
+        }
+        self.axes["features"] = {0: "cells"}
+        for line in ("beam", "arc"):
+            self.axes |= {
+                f"{line}_number": {0: "cells"},
+                f"{line}_chunks": {0: f"{line}_chunks"},
+                f"{line}_lines": {0: f"{line}_chunks"},
+                f"{line}_counts": {0: f"{line}s"},
+            }
+        every = {*self.inputs, *self.outputs}
+        self.axes = {name: sizes for name, sizes in self.axes.items() if name in every}
 
-    def forward(self, noisy: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """Compute the outputs from the inputs in the order of `self.inputs`."""
-        named = dict(zip(self.inputs[1:], inputs, strict=True))
-        maps = named["maps"]
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """Compute the outputs from the inputs in the order of `self.inputs`, as is fastest."""
+        named = dict(zip(self.inputs, inputs, strict=True))
+        if self.form == "geometry":
+            maps = padded(named["maps"], self.network.core_stride)
+            return (geometry_features(self.network.intro, maps),)
+        tables = LineTables(_table(named, "beam"), _table(named, "arc"))
+        planes = named["noisy"], named["outside"]
+        core = self.network.core(
+            self._remove(named), named.get("frames"), tables, *planes, geometry=named["features"]
+        )
+        return tuple(core)[: len(self.outputs)]
+
+    def expected(self, inputs: Inputs) -> tuple[Tensor, ...]:
+        """What the layers of training compute."""
+        maps = inputs["maps"]
+        if self.form == "geometry":
+            return self(maps)
         # The third map is 1 outside the sector and 0 in it, or -1 where no geometry is known.
-        outside = maps[:, 2:]
-        inside = padded(1 - outside, self.network.core_stride)
+        inside = padded(1 - maps[:, 2:], self.network.core_stride)
         # Every second pixel: the cells of the features at half resolution.
         is_cell_inside = inside[..., ::2, ::2] > 0
         shape = is_cell_inside.shape[-2], is_cell_inside.shape[-1]
-        cell_weights = is_cell_inside.to(noisy.dtype).flatten(2)
-        lines_type = RowLines if self.network.folds else MapLines
-        lines = lines_type(named["beams"], named["arcs"], cell_weights, shape)
-        remove = named.get("remove", torch.from_numpy(vector(DEFAULT))[None])
-        planes = torch.split(maps, 1, dim=1)
-        return tuple(self.network.core(remove, named.get("frames"), lines, noisy, *planes))
+        cell_weights = is_cell_inside.float().flatten(2)
+        numbers = inputs["beam_number"][None], inputs["arc_number"][None]
+        lines = MapLines(*numbers, cell_weights, shape)
+        planes = inputs["noisy"], *torch.split(maps, 1, dim=1)
+        frames = inputs.get("frames", torch.zeros_like(inputs["noisy"]))
+        has_frames = "frames" in self.network.extras
+        core = self.network.core(
+            self._remove(inputs), frames if has_frames else None, lines, *planes
+        )
+        return (*core,)[: len(self.outputs)]
+
+    def _remove(self, inputs: Mapping[str, Tensor]) -> Tensor:
+        return inputs.get("remove", torch.from_numpy(vector(DEFAULT))[None])
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
         """Speckle in one image, and the other inputs for it; `count` has no effect.
@@ -157,8 +210,24 @@ class RuntimeGraph(Graph):
         noisy *= maps.get("sector", np.float32(1))
         if "frames" in self.inputs:
             maps["frames"] = rng.uniform(0, 3, (height, width)).astype(np.float32)
-        inputs = inputs_of(noisy, maps, self.network.core_stride)
-        return {name: torch.from_numpy(inputs[name]) for name in self.inputs}
+
+        def features_of(planes: np.ndarray) -> np.ndarray:
+            with torch.no_grad():
+                maps = padded(torch.from_numpy(planes), self.network.core_stride)
+                return geometry_features(self.network.intro, maps).numpy()
+
+        geometry = GeometryInputs.of(
+            noisy.shape, maps, self.network.core_stride, features_of=features_of
+        )
+        named = inputs_of(noisy, maps, geometry)
+        if "frames" not in self.inputs:
+            del named["frames"]
+        return {name: torch.from_numpy(values) for name, values in named.items()}
+
+
+def _table(inputs: Mapping[str, Tensor], line: str) -> LineTable:
+    """The inputs of the beams (`beam`) or arcs (`arc`)."""
+    return LineTable(*(inputs[f"{line}_{part}"] for part in LineTable._fields))
 
 
 def write_onnx(weights: Path, out: Path, layout: Layout | None) -> float:
@@ -173,27 +242,42 @@ def write_onnx(weights: Path, out: Path, layout: Layout | None) -> float:
     """
     trained = load_weights(weights)
     if layout is None:
-        runtime_graph = RuntimeGraph(trained.network)
-        graph: Graph = runtime_graph
-        about = {
-            "model": json.dumps(structure(trained.model), sort_keys=True),
-            "extras": ",".join(runtime_graph.network.extras),
-            "stride": str(runtime_graph.network.core_stride),
-        }
-    else:
-        graph = Graph(trained.network, layout)
-        about = {
-            "model": json.dumps(dict(trained.model), sort_keys=True),
-            "simnfnd": __version__,
-            "weights_sha256": sha256_of(weights),
-        }
+        return _write_runtime(trained, out)
+    graph = Graph(trained.network, layout)
+    about = {
+        "model": json.dumps(dict(trained.model), sort_keys=True),
+        "simnfnd": __version__,
+        "weights_sha256": sha256_of(weights),
+    }
     check_writable(out.parent, "--out")
-    content = _content(graph, about, bare=layout is None)
-    difference = _difference_in_onnxruntime(graph, content, bare=layout is None)
+    content = _content(graph, about, bare=False)
+    difference = _difference_in_onnxruntime(graph, content, bare=False)
     write_atomically(out, content, key="--out")
-    if layout is None:
-        remember(content)
     return difference
+
+
+def _write_runtime(trained: Trained, out: Path) -> float:
+    """Write the graph of `denoise.runtime`, which holds its other forms; see `write_onnx`."""
+    network = trained.network
+    others: tuple[Form, ...] = ("geometry",)
+    if "frames" in network.extras:
+        others = ("geometry", "single", "window")
+    about = {
+        "model": json.dumps(structure(trained.model), sort_keys=True),
+        "extras": ",".join(network.extras),
+        "stride": str(RuntimeGraph(network).network.core_stride),
+    }
+    worst = 0.0
+    content = b""
+    for form in (*others, "whole"):
+        graph = RuntimeGraph(network, form)
+        content = _content(graph, about, bare=True)
+        worst = max(worst, _difference_in_onnxruntime(graph, content, bare=True))
+        about[f"form_{form}"] = packed(form, content)
+    check_writable(out.parent, "--out")
+    write_atomically(out, content, key="--out")
+    remember(content)
+    return worst
 
 
 def _difference_in_onnxruntime(graph: Graph, content: bytes, bare: bool) -> float:
@@ -208,11 +292,12 @@ def _difference_in_onnxruntime(graph: Graph, content: bytes, bare: bool) -> floa
     shared_arrays = []
     if bare:
         parameters = {name: values.numpy() for name, values in graph.state_dict().items()}
-        shared_arrays = give_weights(options, parameters)
+        shared_arrays = give_weights(options, used_weights(parameters, content))
     session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
 
     def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
-        arrays = {name: values.numpy() for name, values in inputs.items()}
+        # Without those that a network has no use for.
+        arrays = {node.name: inputs[node.name].numpy() for node in session.get_inputs()}
         outputs: list[np.ndarray] = session.run(list(graph.outputs), arrays)
         return outputs
 
@@ -229,7 +314,7 @@ def compared(graph: Graph, run: Run) -> float:
     worst = 0.0
     for seed, size in enumerate(_COMPARED_SIZES):
         inputs = graph.example(*size, seed=seed)
-        expected = [values.numpy() for values in graph(*inputs.values())]
+        expected = [values.numpy() for values in graph.expected(inputs)]
         for name, values, torch_values in zip(graph.outputs, run(inputs), expected, strict=True):
             if name == "shadow_logits":  # compared as the shadow that an image shows
                 difference = np.abs(_sigmoid(values) - _sigmoid(torch_values)).max()
@@ -277,7 +362,8 @@ def _export_trace(graph: Graph, fold: bool) -> bytes:
     if isinstance(graph.network, SonarNet):
         # What onnxruntime computes is compared with the layers of training.
         graph.network.folds = True
-    inputs = tuple(graph.example(*_TRACED_SIZE).values())
+    example = graph.example(*_TRACED_SIZE)
+    inputs = tuple(example[name] for name in graph.inputs)
     with warnings.catch_warnings(), torch.no_grad():
         # It warns of every branch that it fixes; `compared` shows whether one was wrong.
         warnings.simplefilter("ignore")

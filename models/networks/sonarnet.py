@@ -20,6 +20,7 @@ Without geometry it works on the image as it is; in training the geometry is wit
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
 
@@ -35,7 +36,13 @@ from . import DEFAULT, GEOMETRY, vector
 from .blend_head import BlendHead
 from .blocks import residual_blocks, zeroed
 from .even_level import CELL_PX, evening_gain
-from .folded import scaled_and_shifted, unshuffled_conv
+from .folded import (
+    LineTables,
+    first_features,
+    scaled_and_shifted,
+    shuffled,
+    unshuffled_conv,
+)
 from .line_context import GridLines, LineContext, Lines, MapLines
 from .network import Network, NetworkOutput, Step, down_and_up, padded
 from .polar_grid import FanSampling, polar_grid, sampled
@@ -213,12 +220,19 @@ class SonarNet(Network):
         return image * torch.sigmoid(-logits) if self.settings.mask else image
 
     def core(
-        self, remove: Tensor, frames: Tensor | None, lines: Lines, *planes: Tensor
+        self,
+        remove: Tensor,
+        frames: Tensor | None,
+        lines: Lines | LineTables,
+        *planes: Tensor,
+        geometry: Tensor | None = None,
     ) -> CoreOutput:
         """What the network computes on the grid of its inputs, inside and outside the sector.
 
         planes: the image and its maps as of `_known` or `_unknown`.  frames: as of
         `with_heads`.  lines: beams and arcs of the features at half resolution.
+        geometry: of an exported graph, `folded.geometry_features` of the maps, of which `planes`
+        then holds the last one only, and `lines` are `LineTables`.
         """
         height, width = planes[0].shape[-2:]
         inputs = [padded(plane, self.core_stride) for plane in planes]
@@ -235,16 +249,22 @@ class SonarNet(Network):
             for _ in self.settings.widths:
                 level = functional.avg_pool2d(level, 2)
                 levels.append(level)
-        stacked = torch.cat(inputs, dim=1)
-        if self.folds:
-            x = unshuffled_conv(self.intro, stacked)
+        if geometry is None:
+            stacked = torch.cat(inputs, dim=1)
+            if self.folds:
+                x = unshuffled_conv(self.intro, stacked)
+            else:
+                x = self.intro(functional.pixel_unshuffle(stacked, 2))
+            if self.lines is not None:
+                x = self.lines(x, lines)
         else:
-            x = self.intro(functional.pixel_unshuffle(stacked, 2))
-        if self.lines is not None:
-            x = self.lines(x, lines)
+            image = torch.cat([inputs[0], *inputs[2:]], dim=1)
+            tables = cast(LineTables, lines)
+            x = first_features(self.intro, self.lines, image, geometry, tables)
         *encoders, middle = self._conditioned(remove, levels)
         x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
-        heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
+        shuffle = shuffled if self.folds else partial(functional.pixel_shuffle, upscale_factor=2)
+        heads = shuffle(self.outro(x))[..., :height, :width]
         noisy = planes[0] if gain is None else inputs[0][..., :height, :width]
         change = heads[:, :1]
         logits = heads[:, 1:]

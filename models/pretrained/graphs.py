@@ -8,11 +8,13 @@ the user vouches for its SHA-256.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import os
+import re
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple, cast
 
 from ...factory.common.small_files import read_regular
 from . import shipped
@@ -22,11 +24,32 @@ VOUCHED = "SIMNFND_GRAPHS"
 _MOST_BYTES = 1 << 24
 
 
+Form = Literal["whole", "geometry", "single", "window"]
+"""What a graph computes: everything; what the first layer makes of a geometry; a single frame; a
+frame of a window, whose change has no weight."""
+
+
 class Graph(NamedTuple):
     """A graph that may be run: its file and the content that was looked at."""
 
     path: Path
     content: bytes
+
+    def forms(self) -> dict[Form, bytes]:
+        """The graph and the others in its file, by what they compute."""
+        forms: dict[Form, bytes] = {"whole": self.content}
+        for found in re.finditer(_PACKED, self.content):
+            form = cast(Form, found["form"].decode())
+            forms[form] = base64.b64decode(found["graph"])
+        return forms
+
+
+_PACKED = rb"\(simnfnd graph (?P<form>geometry|single|window) (?P<graph>[A-Za-z0-9+/=]+)\)"
+
+
+def packed(form: Form, content: bytes) -> str:
+    """A graph as a fact of another one, where `Graph.forms` finds it."""
+    return f"(simnfnd graph {form} {base64.b64encode(content).decode()})"
 
 
 def find_runnable(weights: Path, description: bytes) -> Graph | None:
