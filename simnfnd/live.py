@@ -64,13 +64,16 @@ class Denoiser:
         frames: length of the window that ends with the newest frame, odd, up to 31; 1: each frame
             alone.
         invert: for dark echoes on a bright ground.
+        With the GNU C library the process keeps memory that is freed, as the next frame needs it.
 
         Raises ValueError for values out of range, FactoryError for weights that are not there, a
         missing GPU, and where the extra `denoise` is not installed.
         """
         from .api import _checked_geometry, _loaded_denoiser
+        from .factory.common.workers.machine import keep_freed_memory
         from .models.denoise.images import Denoising, FrameShots
 
+        keep_freed_memory()  # every frame needs the same planes again
         network = _loaded_denoiser(weights, device, strength, frames)
         self._geometry = _checked_geometry(geometry, opening_deg, None, stacklevel=3)
         denoising = Denoising(

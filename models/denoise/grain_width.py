@@ -48,5 +48,7 @@ def _block_means(plane: Float32s) -> Float32s:
     """Means of whole blocks, (H, W) -> (H // _BLOCK_PX, W // _BLOCK_PX)."""
     rows, columns = (side // _BLOCK_PX for side in plane.shape)
     whole = plane[: rows * _BLOCK_PX, : columns * _BLOCK_PX]
-    blocks = whole.reshape(rows, _BLOCK_PX, columns, _BLOCK_PX)
-    return np.asarray(blocks.mean(axis=(1, 3)), np.float32)
+    if not whole.size:
+        return np.zeros((rows, columns), np.float32)
+    means = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(means, np.float32)

@@ -17,6 +17,7 @@ import numpy as np
 
 from ...factory.common.array_types import Array, Bools, Float32s, Int64s
 from ...factory.common.errors import FactoryError
+from ...factory.common.workers.machine import usable_cores
 from ...factory.production.cli.extras import Need, require
 from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
@@ -125,6 +126,8 @@ def _session_of(content: bytes, weights: Mapping[str, Array], providers: list[st
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # errors arrive as exceptions
+    # As many threads as cores that this process may use, not as the machine has.
+    options.intra_op_num_threads = usable_cores()
     # Waiting threads would use as much time as computing ones.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     named = {f"network.{name}": tensor for name, tensor in weights.items()}
@@ -159,10 +162,11 @@ class OnnxNetwork:
         is_own = path not in shipped().values()
         opened = self._opened("single" if "single" in self._forms and not is_own else "whole")
         facts = opened.session.get_modelmeta().custom_metadata_map
-        if not {"extras", "stride"} <= facts.keys() or not facts["stride"].isdigit():
+        is_complete = {"extras", "stride"} <= facts.keys() and facts["stride"].isdigit()
+        if not is_complete or "geometry" not in self._forms:
             raise FactoryError(
-                f"{graph.path}: was not made by `simnfnd export-weights --to runtime`; "
-                "make it again"
+                f"{graph.path}: was not made by `simnfnd export-weights --to runtime` of this "
+                "version; make it again"
             )
         model = header["model"]
         # Graphs serve all that share their layers, also those that always forgot the geometry.
@@ -204,7 +208,10 @@ class OnnxNetwork:
 
         image = grey + change
         if self._mask:
-            image = image / (1 + np.exp(np.minimum(logits, _MOST)))
+            odds = np.minimum(logits, _MOST)
+            np.exp(odds, out=odds)
+            odds += 1
+            image /= odds
         if "sector" in maps:
             image = np.where(maps["sector"] > 0, image, grey)
         weight = float(outputs[2][0]) if len(outputs) == 3 else None
@@ -241,10 +248,7 @@ class OnnxNetwork:
     def _prepared(
         self, shape: tuple[int, ...], maps: Maps, *, is_grid: bool = False
     ) -> GeometryInputs:
-        features_of = self._features if "geometry" in self._forms else None
-        return GeometryInputs.of(
-            shape, maps, self._stride, is_grid=is_grid, features_of=features_of
-        )
+        return GeometryInputs.of(shape, maps, self._stride, self._features, is_grid=is_grid)
 
     def _features(self, maps: Float32s) -> Float32s:
         """What the first layer makes of the maps, (1, 3, H, W) -> (cells, C)."""
@@ -276,14 +280,13 @@ class GeometryInputs(NamedTuple):
         shape: tuple[int, ...],
         maps: Maps,
         stride: int,
+        features_of: Callable[[Float32s], Float32s],
         *,
         is_grid: bool = False,
-        features_of: Callable[[Float32s], Float32s] | None = None,
     ) -> GeometryInputs:
-        """is_grid: whether columns are beams and rows ranges, evenly.
+        """features_of: what the graph `geometry` computes of the maps, (1, 3, H, W) -> (cells, C).
 
-        features_of: what the graph `geometry` makes of the maps; None: the graph is of a version
-            that has none.
+        is_grid: whether columns are beams and rows ranges, evenly.
         """
         rows, columns = (-(-side // stride) * stride // 2 for side in shape)
         # Columns count as beams and rows as arcs where nothing else is known.
@@ -303,15 +306,12 @@ class GeometryInputs(NamedTuple):
         stacked = np.stack(planes)[None].astype(np.float32)
         named: dict[str, Array] = {
             "maps": stacked,
-            "beams": beams.reshape(1, -1),
-            "arcs": arcs.reshape(1, -1),
+            "outside": np.ascontiguousarray(stacked[:, 2:]),
+            "features": features_of(stacked),
         }
-        if features_of is not None:
-            is_inside = (_cells(sector, stride) > 0).ravel()
-            named["outside"] = np.ascontiguousarray(stacked[:, 2:])
-            named["features"] = features_of(stacked)
-            named |= _line_inputs("beam", beams.ravel(), is_inside, columns)
-            named |= _line_inputs("arc", arcs.ravel(), is_inside, rows)
+        is_inside = (_cells(sector, stride) > 0).ravel()
+        named |= _line_inputs("beam", beams.ravel(), is_inside, columns)
+        named |= _line_inputs("arc", arcs.ravel(), is_inside, rows)
         return cls(shape, tuple(maps.get(name) for name in GEOMETRY), named)
 
 
@@ -322,8 +322,7 @@ def inputs_of(grey: Float32s, maps: Maps, geometry: GeometryInputs) -> dict[str,
     all of the image, `frames` (log2 of how many were averaged) where these are several.
     Returns `noisy`, `frames` and `outside` (1, 1, H, W), `maps` (1, 3, H, W), `features` (cells, C)
     and for beams and arcs the parts of `networks.folded.LineTable`, such as `beam_chunks`, of cells
-    at half resolution; `remove` (1, 6).  `beams` and `arcs` (1, cells) are for graphs of versions
-    before 0.6.
+    at half resolution; `remove` (1, 6).
     """
     frames = maps["frames"] if "frames" in maps else np.zeros_like(grey)
     return {

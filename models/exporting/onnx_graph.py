@@ -177,7 +177,7 @@ class RuntimeGraph(Graph):
         """What the layers of training compute."""
         maps = inputs["maps"]
         if self.form == "geometry":
-            return self(maps)
+            return self.forward(maps)
         # The third map is 1 outside the sector and 0 in it, or -1 where no geometry is known.
         inside = padded(1 - maps[:, 2:], self.network.core_stride)
         # Every second pixel: the cells of the features at half resolution.
@@ -216,9 +216,8 @@ class RuntimeGraph(Graph):
                 maps = padded(torch.from_numpy(planes), self.network.core_stride)
                 return geometry_features(self.network.intro, maps).numpy()
 
-        geometry = GeometryInputs.of(
-            noisy.shape, maps, self.network.core_stride, features_of=features_of
-        )
+        stride = self.network.core_stride
+        geometry = GeometryInputs.of(noisy.shape, maps, stride, features_of)
         named = inputs_of(noisy, maps, geometry)
         if "frames" not in self.inputs:
             del named["frames"]

@@ -109,7 +109,7 @@ def first_features(
     x = functional.conv2d(image, weight[:, planes], intro.bias, stride=2, padding=2)
     height, width = x.shape[-2:]
     # A row a cell: what lies on a line is gathered by rows.
-    rows = x.flatten(2)[0].T + geometry
+    rows = x.reshape(intro.out_channels, -1).T + geometry
     if context is not None:
         rows = rows + _along_lines(context, rows, tables)
     return rows.T.reshape(1, intro.out_channels, height, width)
@@ -121,7 +121,8 @@ def geometry_features(intro: nn.Conv2d, maps: Tensor) -> Tensor:
     maps: (1, 3, H, W), the planes behind the image.
     """
     weight = _at_full_size(intro, 0)[:, 1 : 1 + maps.shape[1]]
-    return functional.conv2d(maps, weight, None, stride=2, padding=2).flatten(2)[0].T
+    features = functional.conv2d(maps, weight, None, stride=2, padding=2)
+    return features.reshape(intro.out_channels, -1).T
 
 
 def _along_lines(context: LineContext, rows: Tensor, tables: LineTables) -> Tensor:
@@ -139,7 +140,8 @@ def _along_lines(context: LineContext, rows: Tensor, tables: LineTables) -> Tens
         means = means + bias * (table.counts > 0).float()[:, None]
         return functional.conv1d(layers(means.T[None]), weight)[0].T
 
-    along = of_lines(tables.beams, context.beams, added[:, :depth]) + context.added.bias
+    bias = cast(Tensor, context.added.bias)
+    along = of_lines(tables.beams, context.beams, added[:, :depth]) + bias
     across = of_lines(tables.arcs, context.arcs, added[:, depth:])
     return along[tables.beams.number] + across[tables.arcs.number]
 

@@ -12,7 +12,7 @@ from collections import deque
 import cv2
 import numpy as np
 
-from ...factory.common.array_types import Float32s
+from ...factory.common.array_types import Bools, Float32s
 
 _WINDOW_PX = 5  # side of the mean that grain is measured against
 _DARK = 0.02  # grey value: what is darker has no grain
@@ -62,13 +62,12 @@ def changed_grain(frame: Float32s, reference: Float32s) -> float:
     lit = (frame > _DARK) | (reference > _DARK)
     if np.count_nonzero(lit) < _LEAST_PIXELS:
         return 1.0
-    grain = _grain(frame)
-    power = float(np.square(grain[lit]).mean() + np.square(_grain(reference)[lit]).mean())
+    power = _mean_square(_grain(frame), lit) + _mean_square(_grain(reference), lit)
     if power <= 0:
         return 1.0
     limit = np.float32(_CLIPPED * np.sqrt(power / 2))
-    difference = np.clip(_grain(frame - reference)[lit], -limit, limit)
-    return float(np.square(difference).mean()) / power
+    difference = np.clip(_grain(frame - reference), -limit, limit)
+    return _mean_square(difference, lit) / power
 
 
 class CopyFinder:
@@ -84,6 +83,11 @@ class CopyFinder:
         is_copy = self._repeats.is_repeat(grey) or digest in self._digests
         self._digests.add(digest)
         return is_copy
+
+
+def _mean_square(plane: Float32s, lit: Bools) -> float:
+    """Mean square of the lit pixels, summed in 64 bits."""
+    return cv2.norm(plane, cv2.NORM_L2SQR, lit.view(np.uint8)) / np.count_nonzero(lit)
 
 
 def _grain(plane: Float32s) -> Float32s:

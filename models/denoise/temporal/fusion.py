@@ -13,15 +13,16 @@ What noise explains is measured in the recording itself, by grey level (`NoiseBy
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from ....factory.common.array_types import Array, Bools
-from .motion import blurred, factors, grey_of, reduced
+from .motion import blurred, everywhere, factors, grey_of, reduced
 from .noise_level import NoiseByLevel, RunningSpread
 from .tracking import MAX_OFFSET, Tracks, find_tracks
 
@@ -42,6 +43,7 @@ _OBVIOUS = 8.0
 """Standard deviations from which on a single frame shows an object; no path is needed then."""
 _MIN_TRACKED_FRAMES = 3
 _DARK = 0.02  # grey value below which there is nothing to learn from
+_REMEMBERED = 16  # frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +121,12 @@ class Fusion:
         self._frame_agreement = _Agreement(_AGREEMENT_LIMIT)
         self._score_spread = RunningSpread()
         self.noise = NoiseByLevel()
+        # Levels of the last frames with their planes, which serve while the sonar is at rest.
+        self._blurred: deque[tuple[Array, Array]] = deque(maxlen=_REMEMBERED)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is computed of frames anew is not kept."""
+        return {**self.__dict__, "_blurred": deque(maxlen=_REMEMBERED)}
 
     def __call__(self, frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
         """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""
@@ -128,7 +136,7 @@ class Fusion:
         if not neighbours:
             ones = np.ones(grey.shape, np.float32)
             return FusedFrame(frame, ones, ones)
-        small, visible = _reduce(grey, neighbours)
+        small, visible = self._reduce(grey, neighbours)
         noise_sample = None
         index = self._neighbour_to_measure(len(neighbours))
         if index is not None:
@@ -176,6 +184,32 @@ class Fusion:
             (agrees & lit).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
         )
         return np.asarray((same > 0) & (visible > 0) & (fused.static_share > 0.5))
+
+    def _reduce(self, grey: Array, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list[Array]]:
+        """The frames reduced and blurred, and where each neighbour is visible there, 0 or 1."""
+        frame = self._blurred_small(grey)
+        visible: list[Array] = []
+        planes = []
+        for neighbour in neighbours:
+            plane = self._blurred_small(grey_of(neighbour.levels))
+            if neighbour.visible is everywhere(*grey.shape):
+                visible.append(np.ones(frame.shape, np.uint8))
+                planes.append(plane)
+                continue
+            fully_visible = (reduced(neighbour.visible) > 0.99).astype(np.uint8)
+            mask = cv2.erode(fully_visible, np.ones((5, 5), np.uint8))
+            visible.append(mask)
+            planes.append(np.where(mask > 0, plane, frame))
+        return _Reduced(frame, median([*planes, frame]), planes), visible
+
+    def _blurred_small(self, grey: Array) -> Array:
+        """A frame, (H, W), reduced and blurred; not to be changed."""
+        for levels, plane in self._blurred:
+            if levels is grey:
+                return plane
+        plane = blurred(reduced(grey), _SMALL_SIGMA_PX)
+        self._blurred.append((grey, plane))
+        return plane
 
     def _neighbour_to_measure(self, count: int) -> int | None:
         """Index of the neighbour on which noise is measured; None: not on this frame."""
@@ -256,20 +290,6 @@ def median(planes: Sequence[Array]) -> Array:
     if count % 2:
         return values[count // 2]
     return (values[count // 2] + values[count // 2 - 1]) / np.float32(2)
-
-
-def _reduce(grey: Array, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list[Array]]:
-    """The frames reduced and blurred, and where each neighbour is visible there, 0 or 1."""
-    frame = blurred(reduced(grey), _SMALL_SIGMA_PX)
-    visible = []
-    planes = []
-    for neighbour in neighbours:
-        fully_visible = (reduced(neighbour.visible) > 0.99).astype(np.uint8)
-        mask = cv2.erode(fully_visible, np.ones((5, 5), np.uint8))
-        plane = blurred(reduced(grey_of(neighbour.levels)), _SMALL_SIGMA_PX)
-        visible.append(mask)
-        planes.append(np.where(mask > 0, plane, frame))
-    return _Reduced(frame, median([*planes, frame]), planes), visible
 
 
 def _smooth(weight: Array) -> Array:

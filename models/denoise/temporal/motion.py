@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import cv2
@@ -169,13 +169,14 @@ class Aligner:
         starts = self._starts(number, neighbour)
         # By way of a frame between, it is the only one.
         steps = _STEPS_BETWEEN if len(starts) == 1 else _STEPS
-        affine, correlation = _affine_motion(view, neighbour_view, starts, steps)
+        pair = _Pair(view, neighbour_view)
+        affine, correlation = _affine_motion(pair, starts, steps)
         pixels = max(float(view.lit.sum()), 1.0)
         if correlation < ALIKE + _BY_CHANCE / np.sqrt(pixels / _GRAIN):
             return None
         if number - neighbour == 1:
             self._last = affine
-        return Motion(affine, _block_flow(view, neighbour_view, affine))
+        return Motion(affine, _block_flow(pair, affine))
 
     def _starts(self, number: int, neighbour: int) -> list[Float64s]:
         """By way of a frame between both, else by all that can be known."""
@@ -204,7 +205,7 @@ def laid_over(grey: Array, motion: Motion) -> tuple[Array, Array]:
     height, width = grey.shape[:2]
     down, right = factors(grey.shape)
     if motion.flow is None and not motion.affine.any():
-        return grey, np.ones((height, width), np.float32)
+        return grey, everywhere(height, width)
     matrix = _matrix(motion.affine, (height // down, width // right))
     # From reduced images to those of full size.
     up = np.diag([right, down, 1.0])
@@ -230,6 +231,14 @@ def laid_over(grey: Array, motion: Motion) -> tuple[Array, Array]:
         )
     shown = laid if laid.ndim == 2 else laid[..., 0]
     return np.clip(laid, 0, 1), (shown > -0.05).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def everywhere(height: int, width: int) -> Array:
+    """(H, W) ones, not to be changed; the same array for all frames that show all of another."""
+    ones = np.ones((height, width), np.float32)
+    ones.flags.writeable = False
+    return ones
 
 
 def grey_of(levels: Array) -> Array:
@@ -264,62 +273,84 @@ def factors(shape: tuple[int, ...]) -> tuple[int, int]:
     return down, right
 
 
-def _affine_motion(
-    view: AlignmentView, neighbour_view: AlignmentView, starts: Sequence[Float64s], steps: int
-) -> tuple[Float64s, float]:
+class _Pair:
+    """Two frames, and what their bands leave of each other by the motions that were tried."""
+
+    def __init__(self, view: AlignmentView, neighbour_view: AlignmentView) -> None:
+        self.view = view
+        self.neighbour_view = neighbour_view
+        self._warped: dict[bytes, Array] = {}
+        self._residuals: dict[bytes, _Residual] = {}
+
+    def warped(self, affine: Float64s) -> Array:
+        """The band of the neighbour as seen from the frame, interpolated linearly."""
+        key = affine.tobytes()
+        if key not in self._warped:
+            self._warped[key] = _warp(self.neighbour_view.band, affine)
+        return self._warped[key]
+
+    def residual(self, affine: Float64s) -> _Residual:
+        """What a motion leaves."""
+        key = affine.tobytes()
+        if key not in self._residuals:
+            self._residuals[key] = _residual(self.view, self.warped(affine))
+        return self._residuals[key]
+
+
+def _affine_motion(pair: _Pair, starts: Sequence[Float64s], steps: int) -> tuple[Float64s, float]:
     """The simplest affine motion that explains the frame, and the correlation that it leaves."""
+    band = pair.view.band
+    neighbour_band = pair.neighbour_view.band
     none = np.zeros(6)
-    still = _correlation(view.band, neighbour_view.band)
+    still = _correlation(band, neighbour_band)
     start = none
     best = still
     for candidate in starts:
         if candidate.any():
-            correlation = _correlation(view.band, _warp(neighbour_view.band, candidate))
+            correlation = _correlation(band, pair.warped(candidate))
             if correlation > best + 0.01:
                 start = candidate
                 best = correlation
-    fine = _refined(view, neighbour_view, start, steps)
+    fine = _refined(pair, start, steps)
     if not start.any() and np.abs(fine).max() < _STILL:
         return none, still
-    down, right = factors(view.full_shape)
+    down, right = factors(pair.view.full_shape)
     whole = np.r_[np.round(fine[:2] * [right, down]) / [right, down], none[2:]]
     chosen = none
     best = still
     for candidate in (whole, np.r_[fine[:2], none[2:]], fine, start):
         if candidate.any():
-            warped = _warp(neighbour_view.band, candidate, cv2.INTER_CUBIC)
-            correlation = _correlation(view.band, warped)
+            warped = _warp(neighbour_band, candidate, cv2.INTER_CUBIC)
+            correlation = _correlation(band, warped)
             if correlation > best + _BETTER * (1 - best):
                 chosen = candidate
                 best = correlation
     return chosen, best
 
 
-def _refined(
-    view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s, steps: int
-) -> Float64s:
-    hessian = view.hessian
+def _refined(pair: _Pair, affine: Float64s, steps: int) -> Float64s:
+    hessian = pair.view.hessian
+    # Frames without any slope have no Hessian.
+    least = 1e-6 * np.trace(hessian) + 1e-9
     for _ in range(steps):
-        _, noise, projected = _residual(view, neighbour_view, affine)
-        # Frames without any slope have no Hessian.
-        least = (1e-6 * np.trace(hessian) + 1e-9) * np.eye(6)
-        usual = np.diag([0, 0, *[noise / _AFFINE_USUAL**2] * 4]) + least
-        slope = projected + usual @ affine
-        step = np.linalg.solve(hessian + usual, slope)
+        _, noise, projected = pair.residual(affine)
+        damping = np.full(6, least)
+        damping[2:] += noise / _AFFINE_USUAL**2
+        damped = hessian.copy()
+        damped.flat[::7] += damping
+        step = np.linalg.solve(damped, projected + damping * affine)
         affine = affine - step
         if np.abs(step).max() < _SETTLED:
             break
     return affine
 
 
-def _block_flow(
-    view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s
-) -> Array | None:
+def _block_flow(pair: _Pair, affine: Float64s) -> Array | None:
     """What blocks move besides, where that is beyond doubt; (rows, columns, 2)."""
-    along, down = view.slopes
-    residual, noise, _ = _residual(view, neighbour_view, affine)
+    along, down = pair.view.slopes
+    residual, noise, _ = pair.residual(affine)
     usual = np.float32(noise / _BLOCK_USUAL**2)
-    xx, yy, xy = view.block_powers
+    xx, yy, xy = pair.view.block_powers
     xx = xx + usual
     yy = yy + usual
     x = _block_sums(along * residual)
@@ -344,10 +375,10 @@ def _block_sums(plane: Array) -> Array:
     return cv2.blur(cells, (3, 3), borderType=cv2.BORDER_REFLECT) * np.float32(9 * area)
 
 
-def _residual(view: AlignmentView, neighbour_view: AlignmentView, affine: Float64s) -> _Residual:
+def _residual(view: AlignmentView, warped: Array) -> _Residual:
     from . import kernels  # loads numba
 
-    plane = (_warp(neighbour_view.band, affine) - view.band) * view.lit
+    plane = (warped - view.band) * view.lit
     magnitudes = np.abs(plane.ravel()[::_SAMPLED][view.sampled])
     middle = len(magnitudes) // 2
     usual = float(np.partition(magnitudes, middle)[middle]) if len(magnitudes) else 0.0
@@ -386,9 +417,11 @@ def _warp(band: Array, affine: Float64s, interpolation: int = cv2.INTER_LINEAR) 
 def _matrix(affine: Float64s, shape: tuple[int, ...]) -> Float64s:
     """(3, 3) pixel -> where it lies in the other frame."""
     middle = _middle(shape)
-    turn = np.eye(2) + affine[2:].reshape(2, 2) / (shape[1] / 2)
-    matrix = np.eye(3)
-    matrix[:2] = np.c_[turn, affine[:2] + middle - turn @ middle]
+    turn = _UNIT + affine[2:].reshape(2, 2) / (shape[1] / 2)
+    matrix = np.zeros((3, 3))
+    matrix[:2, :2] = turn
+    matrix[:2, 2] = affine[:2] + middle - turn @ middle
+    matrix[2, 2] = 1
     return matrix
 
 
@@ -396,10 +429,14 @@ def _affine(matrix: Float64s, shape: tuple[int, ...]) -> Float64s:
     """The reverse of `_matrix`."""
     middle = _middle(shape)
     turn = matrix[:2, :2]
-    shift = matrix[:2, 2] - middle + turn @ middle
-    affine: Float64s = np.r_[shift, ((turn - np.eye(2)) * (shape[1] / 2)).ravel()]
+    affine = np.empty(6)
+    affine[:2] = matrix[:2, 2] - middle + turn @ middle
+    affine[2:] = ((turn - _UNIT) * (shape[1] / 2)).ravel()
     return affine
 
 
 def _middle(shape: tuple[int, ...]) -> Float64s:
     return np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+
+
+_UNIT = np.eye(2)

@@ -136,6 +136,7 @@ class InTime:
         # All by frame number.
         self._shots: dict[int, SequenceFrame] = {}
         self._reduced: dict[int, Array] = {}
+        self._thumbnails: dict[int, Array] = {}
         self._geometries: dict[int, FanGeometry | None] = {}
         self._fused_early: dict[int, _FusedFrame] = {}
         self._newest = -1
@@ -172,7 +173,7 @@ class InTime:
     def __getstate__(self) -> dict[str, Any]:
         """All that a stream in another process needs to go on, but for `attach`."""
         assert not self._pending, "settle first"
-        return {**self.__dict__, "_network": None, "_pool": None, "_reduced": {}}
+        return {**self.__dict__, "_network": None, "_pool": None, "_reduced": {}, "_thumbnails": {}}
 
     def attach(self, network: Network | None, at_once: int) -> None:
         """Give an unpickled stream its network and threads."""
@@ -285,10 +286,7 @@ class InTime:
         """How unlike another frame, as it is seen from a frame, is to that frame."""
         shape = levels.shape
         if levels is self._shots[neighbour].levels:
-            own = self._small(number)
-            return likeness_of(
-                thumbnail_of(self._small(neighbour), shape), thumbnail_of(own, shape)
-            )
+            return likeness_of(self._thumbnail(neighbour), self._thumbnail(number))
         small_visible = reduced(visible)
         return likeness_of(
             thumbnail_of(reduced(grey_of(levels)) * small_visible, shape),
@@ -303,6 +301,16 @@ class InTime:
             }
             self._reduced[number] = reduced(grey_of(self._shots[number].levels))
         return self._reduced[number]
+
+    def _thumbnail(self, number: int) -> Array:
+        """The thumbnail of a frame that is in memory."""
+        if number not in self._thumbnails:
+            self._thumbnails = {
+                kept: plane for kept, plane in self._thumbnails.items() if kept in self._shots
+            }
+            shape = self._shots[number].levels.shape
+            self._thumbnails[number] = thumbnail_of(self._small(number), shape)
+        return self._thumbnails[number]
 
     def _geometry(self, number: int) -> FanGeometry | None:
         """The geometry of a frame: that of the nearest known one if it shows the same scene."""
@@ -417,4 +425,5 @@ class InTime:
 def _channel(frame: _FusedFrame, index: int) -> _FusedFrame:
     """One channel of a frame in colour, as a frame of its own."""
     image = np.ascontiguousarray(frame.fused.image[..., index])
-    return _FusedFrame(replace(frame.fused, image=image), frame.sigma[..., index], frame.geometry)
+    sigma = np.ascontiguousarray(frame.sigma[..., index])
+    return _FusedFrame(replace(frame.fused, image=image), sigma, frame.geometry)

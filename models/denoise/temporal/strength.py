@@ -59,17 +59,22 @@ class Predictors:
     @classmethod
     def of(cls, grey: Array, sigma: Array, network_output: Array) -> Predictors:
         """Predictors of an image, (H, W), whose noise has standard deviation `sigma`, (H, W)."""
-        blurs = [blurred(grey, sigma_px) for sigma_px in _BLUR_SIGMAS_PX]
-        images = [total_variation(grey, sigma), network_output, *blurs]
-        changes = np.stack(images)
-        changes -= grey
+        from . import kernels  # loads numba
 
-        mean_square = blurred(grey * grey, _VARIATION_SIGMA_PX)
-        spread = mean_square - blurred(grey, _VARIATION_SIGMA_PX) ** 2
-        variation = np.sqrt(np.maximum(spread, 0)) / np.maximum(sigma, 1e-4)
-        level = variation * np.float32(_VARIATION_LEVELS / _VARIATION_CLASSES[-1])
-        level = np.clip(level, 0, _VARIATION_LEVELS - 1)
-        return cls(grey, changes, level.astype(np.uint8))
+        changes = np.empty((_PREDICTORS, *grey.shape), np.float32)
+        np.subtract(total_variation(grey, sigma), grey, out=changes[0])
+        np.subtract(network_output, grey, out=changes[1])
+        for change, sigma_px in zip(changes[2:], _BLUR_SIGMAS_PX, strict=True):
+            np.subtract(blurred(grey, sigma_px), grey, out=change)
+
+        variation = kernels.variation_level(
+            blurred(grey * grey, _VARIATION_SIGMA_PX),
+            blurred(grey, _VARIATION_SIGMA_PX),
+            sigma,
+            np.float32(_VARIATION_LEVELS / _VARIATION_CLASSES[-1]),
+            np.float32(_VARIATION_LEVELS - 1),
+        )
+        return cls(grey, changes, variation)
 
 
 @dataclass(frozen=True, eq=False)

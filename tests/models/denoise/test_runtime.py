@@ -31,6 +31,7 @@ from simnfnd.models.exporting.export import main as export
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import KEY, Arrays, read_weights, save_weights
 from simnfnd.models.pretrained import find_weights, shipped
+from simnfnd.models.pretrained.graphs import Graph
 from tests.models.recordings.fan_images import fan, preset
 
 Change = Callable[[Arrays], Arrays]
@@ -120,6 +121,15 @@ def test_onnxruntime_gets_what_torch_gets(
     np.testing.assert_allclose(of_onnx(image, known, frames=message), wished, atol=within(of_onnx))
     if frames is not None and of_onnx.knows_frames:
         assert np.abs(of_torch(image, known) - wished).max() > 1e-4
+
+
+def test_a_graph_of_another_version_costs_a_line() -> None:
+    weights = find_weights("simnfnd")
+    content = weights.with_suffix(".onnx").read_bytes()
+    other = content.replace(b"(simnfnd graph geometry", b"(another graph geometry")
+    assert other != content
+    with pytest.raises(FactoryError, match=r"simnfnd\.onnx: .*export-weights --to runtime"):
+        OnnxNetwork(weights, Graph(weights.with_suffix(".onnx"), other), "cpu")
 
 
 @pytest.mark.parametrize("name", sorted(shipped()))
