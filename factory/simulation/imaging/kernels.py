@@ -476,6 +476,42 @@ def place_scatterers(
 # --- cells of the world -----------------------------------------------------------------------
 
 
+@compiled()
+def _whole_origin(transform: Any) -> Any:
+    """The translation of a (3, 4) transform in whole cells, and what is left of it.
+
+    Whole cells apart, for 32 bits are converted faster than 64, and must be enough.
+    """
+    x = np.floor(transform[0, 3])
+    y = np.floor(transform[1, 3])
+    z = np.floor(transform[2, 3])
+    whole = (np.int32(np.int64(x)), np.int32(np.int64(y)), np.int32(np.int64(z)))
+    return whole, (transform[0, 3] - x, transform[1, 3] - y, transform[2, 3] - z)
+
+
+@compiled()
+def _place_in_camera(pixels: Any, parts: Any, ray_rows: Any, across: Any, places: Any) -> None:
+    """Places of scatterers of one row of pixels, in camera axes.
+
+    pixels: column of each plus the pixels of the rows before.  parts: how far towards the pixel
+    below each lies.  ray_rows: depths of the row and of the one below, both directions down, and
+    the pixels before.  places: (3, N) out.
+    """
+    here_m, below_m, down_here, down_below, before = ray_rows
+    xs = places[0]
+    ys = places[1]
+    zs = places[2]
+    for i in range(len(pixels)):
+        column = np.uint32(pixels[i] - before)
+        z = np.float64(here_m[column])
+        part = np.float64(parts[i])
+        y = down_here * z
+        z_below = np.float64(below_m[column])
+        ys[i] = y + part * (down_below * z_below - y)
+        zs[i] = z + part * (z_below - z)
+        xs[i] = np.float64(across[column]) * zs[i]
+
+
 @compiled(
     f"void({_PLACES}, int32[::1], {_CAMERA}, float64[:, ::1], float64, uint32[::1], uint32[::1])"
 )
@@ -485,7 +521,7 @@ def cells(
 ) -> None:  # fmt: skip
     """The world cells in which scatterers lie.
 
-    row_end: as `place` gives it.  cell_m: edge of a cell, a cube.
+    row_end: as `place_scatterers` gives it.  cell_m: edge of a cell, a cube.
     name_of, place_of: (N,) out, the cell of each as a number that looks random, and where to look
     for it in a table (neighbours are close together).
     """
@@ -493,57 +529,37 @@ def cells(
     depth_m, across, down = camera
     height, width = depth_m.shape
     m = world_from_camera / cell_m
-    m00, m01, m02, m03 = m[0]
-    m10, m11, m12, m13 = m[1]
-    m20, m21, m22, m23 = m[2]
-    # Whole cells apart, for 32 bits are converted faster than 64, and must be enough.
-    w0 = np.floor(m03)
-    w1 = np.floor(m13)
-    w2 = np.floor(m23)
-    m03 = m03 - w0
-    m13 = m13 - w1
-    m23 = m23 - w2
-    i0 = np.int32(np.int64(w0))
-    i1 = np.int32(np.int64(w1))
-    i2 = np.int32(np.int64(w2))
-    xs = np.empty(_BLOCK)
-    ys = np.empty(_BLOCK)
-    zs = np.empty(_BLOCK)
+    m00, m01, m02, _ = m[0]
+    m10, m11, m12, _ = m[1]
+    m20, m21, m22, _ = m[2]
+    (i0, i1, i2), (m03, m13, m23) = _whole_origin(m)
+    places = np.empty((3, _BLOCK))
     us = np.empty(_BLOCK, np.int32)
     vs = np.empty(_BLOCK, np.int32)
     ws = np.empty(_BLOCK, np.int32)
     stop = 0
     for row in range(height):
         below = min(row + 1, height - 1)
-        here_m = depth_m[row]
-        below_m = depth_m[below]
+        before = np.int32(row * width)
         down_here = np.float64(down[row])
         down_below = np.float64(down[below])
-        before = np.int32(row * width)
-        start, stop = stop, int(row_end[row])
+        ray_rows = (depth_m[row], depth_m[below], down_here, down_below, before)
+        start = stop
+        stop = int(row_end[row])
         # A block at a time: first what a processor does for many at once, then what it cannot.
         for begin in range(start, stop, _BLOCK):
             size = min(_BLOCK, stop - begin)
-            some = pixels[begin : begin + size]
-            some_parts = parts[begin : begin + size]
+            end = begin + size
+            _place_in_camera(pixels[begin:end], parts[begin:end], ray_rows, across, places)
             for i in range(size):
-                column = np.uint32(some[i] - before)
-                z = np.float64(here_m[column])
-                part = np.float64(some_parts[i])
-                y = down_here * z
-                z_below = np.float64(below_m[column])
-                ys[i] = y + part * (down_below * z_below - y)
-                zs[i] = z + part * (z_below - z)
-                xs[i] = np.float64(across[column]) * zs[i]
-            for i in range(size):
-                x = xs[i]
-                y = ys[i]
-                z = zs[i]
+                x = places[0, i]
+                y = places[1, i]
+                z = places[2, i]
                 us[i] = np.int32(np.floor(m00 * x + m01 * y + m02 * z + m03))
                 vs[i] = np.int32(np.floor(m10 * x + m11 * y + m12 * z + m13))
                 ws[i] = np.int32(np.floor(m20 * x + m21 * y + m22 * z + m23))
-            names = name_of[begin : begin + size]
-            places = place_of[begin : begin + size]
+            names = name_of[begin:end]
+            table_places = place_of[begin:end]
             for i in range(size):
                 first = np.int32(us[i] + i0)
                 second = np.int32(vs[i] + i1)
@@ -554,7 +570,7 @@ def cells(
                     _corner(first >> np.int32(1), second >> np.int32(1), third >> np.int32(1))
                 )
                 inside = np.uint32(first) & _1 | (np.uint32(second) & _1) << _1
-                places[i] = np.uint32(block << _3) | inside | (np.uint32(third) & _1) << _2
+                table_places[i] = np.uint32(block << _3) | inside | (np.uint32(third) & _1) << _2
 
 
 @compiled("boolean(uint32[::1], uint32[::1], int64, uint32[:, ::1], uint32[:, ::1], float32[::1])")
@@ -662,6 +678,52 @@ _MOST_ACROSS = 16
 _MOST_DOWN = 8
 
 
+@compiled()
+def _pixel_edges(camera: Any, pixel: Any, joins_below: Any) -> Any:
+    """A pixel's point in camera axes, and the ways to the points below and to the right of it.
+
+    A way is 0 where the neighbour is no part of the same surface.  joins_below: whether the one
+    below is.
+    """
+    depth_m, across, down = camera
+    height, width = depth_m.shape
+    row = pixel // width
+    column = pixel % width
+    z = np.float64(depth_m[row, column])
+    x = np.float64(across[column]) * z
+    y = np.float64(down[row]) * z
+    dx = dy = dz = np.float64(0)
+    if joins_below and row + 1 < height:
+        below = np.float64(depth_m[row + 1, column])
+        dx = np.float64(across[column]) * below - x
+        dy = np.float64(down[row + 1]) * below - y
+        dz = below - z
+    ex = ey = ez = np.float64(0)
+    if column + 1 < width:
+        right = np.float64(depth_m[row, column + 1])
+        if abs(right - z) < _STEP * z:
+            ex = np.float64(across[column + 1]) * right - x
+            ey = np.float64(down[row]) * right - y
+            ez = right - z
+    return (x, y, z), (dx, dy, dz), (ex, ey, ez)
+
+
+@compiled()
+def _slot_of(name_of: Any, place_of: Any, i: Any, j: Any, k: Any) -> Any:
+    """The slot of a cell in a table with linear probing; a cell that is new gets a free one."""
+    mask = np.uint32(name_of.shape[0] - 1)
+    name = np.uint32(mixed(_corner(i, j, k)) | _1)
+    slot = np.uint32(name >> _1) & mask
+    while name_of[slot] != 0 and name_of[slot] != name:
+        slot = np.uint32(slot + _1) & mask
+    if name_of[slot] == 0:
+        name_of[slot] = name
+        place_of[slot, 0] = np.int32(i)
+        place_of[slot, 1] = np.int32(j)
+        place_of[slot, 2] = np.int32(k)
+    return slot
+
+
 @compiled(
     f"int64({_PLACES}, float32[::1], {_CAMERA}, float64[:, ::1], float64,"
     " Tuple((uint32[::1], float32[::1], int32[:, ::1])))"
@@ -678,10 +740,7 @@ def gather(
     two are zeros, slots a power of two, more than there are cells.  Of no slots it only counts.
     """
     pixels, parts = scatterers
-    depth_m, across, down = camera
     name_of, power_of, place_of = cells
-    height, width = depth_m.shape
-    mask = np.uint32(max(name_of.shape[0] - 1, 0))
     filling = name_of.shape[0] > 0
     m = world_from_camera / cell_m
     half_m = 0.5 * cell_m
@@ -693,23 +752,7 @@ def gather(
         last = first + 1
         while last < size and pixels[last] == pixel:
             last += 1
-        row, column = pixel // width, pixel % width
-        z = np.float64(depth_m[row, column])
-        x = np.float64(across[column]) * z
-        y = np.float64(down[row]) * z
-        dx = dy = dz = np.float64(0)
-        if parts[first] != 0 and row + 1 < height:
-            below = np.float64(depth_m[row + 1, column])
-            dx = np.float64(across[column]) * below - x
-            dy = np.float64(down[row + 1]) * below - y
-            dz = below - z
-        ex = ey = ez = np.float64(0)
-        if column + 1 < width:
-            right = np.float64(depth_m[row, column + 1])
-            if abs(right - z) < _STEP * z:
-                ex = np.float64(across[column + 1]) * right - x
-                ey = np.float64(down[row]) * right - y
-                ez = right - z
+        (x, y, z), (dx, dy, dz), (ex, ey, ez) = _pixel_edges(camera, pixel, parts[first] != 0)
         many = last - first
         sideways = int(np.ceil(np.sqrt(ex * ex + ey * ey + ez * ez) / half_m))
         downward = int(np.ceil(np.sqrt(dx * dx + dy * dy + dz * dz) / many / half_m))
@@ -728,16 +771,7 @@ def gather(
                     i = np.floor(m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz + m[0, 3])
                     j = np.floor(m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3])
                     k = np.floor(m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + m[2, 3])
-                    name = np.uint32(mixed(_corner(i, j, k)) | _1)
-                    slot = np.uint32(name >> _1) & mask
-                    while name_of[slot] != 0 and name_of[slot] != name:
-                        slot = np.uint32(slot + _1) & mask
-                    if name_of[slot] == 0:
-                        name_of[slot] = name
-                        place_of[slot, 0] = np.int32(i)
-                        place_of[slot, 1] = np.int32(j)
-                        place_of[slot, 2] = np.int32(k)
-                    power_of[slot] += share
+                    power_of[_slot_of(name_of, place_of, i, j, k)] += share
         first = last
     return count
 
