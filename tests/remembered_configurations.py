@@ -11,9 +11,6 @@ from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import ConfigRepository
-from hydra._internal.core_plugins.importlib_resources_config_source import (
-    ImportlibResourcesConfigSource,
-)
 from hydra.core.object_type import ObjectType
 
 _UNCHANGING = ("simnfnd.conf", "hydra.conf")
@@ -37,8 +34,9 @@ class _Copies:
 
 
 def _is_unchanging(source: Any) -> bool:
-    is_module = isinstance(source, ImportlibResourcesConfigSource)
-    return source.scheme() == "structured" or (is_module and source.path in _UNCHANGING)
+    # By its scheme, because Hydra loads the module of a source again when it looks for plugins.
+    is_package = source.scheme() == "pkg" and source.path in _UNCHANGING
+    return source.scheme() == "structured" or is_package
 
 
 def _load_remembered(self: ConfigRepository, config_path: str) -> Any:
