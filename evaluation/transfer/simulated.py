@@ -14,7 +14,6 @@ from ...factory.dataset.labels import classes_of
 from ...factory.dataset.pair_dataset import PairDataset
 from ...factory.dataset.reader import Split
 from ...factory.dataset.schema import stored_image
-from ...factory.production.export.object_boxes import Box
 from ...factory.production.export.object_selection import ObjectSelection
 from ...factory.production.export.objects import (
     MIN_OBJECT_PX,
@@ -26,11 +25,15 @@ from ...factory.production.export.objects import (
 )
 from ...factory.production.export.samples import ExportedSample, plain_record
 from ...models.detection.boxes import grow_boxes
-from ...models.detection.images import LabelledImage, WorkingImage, find_fan, scale_image
+from ...models.detection.images import (
+    LabelledImage,
+    WorkingImage,
+    find_fan,
+    reaches_far_end,
+    scale_image,
+)
 
 _LAYERS = ("noisy", "segmentation", "instance")
-_END_SHARE = 0.0125
-"""Echoes that come so near to the end of the range, as a share of the longer side, are cut off."""
 
 
 @dataclass(frozen=True)
@@ -133,11 +136,6 @@ def _taught_objects(
             continue
         if not is_clear(shown, selection) or min(echo.width, echo.height) < least_px:
             continue
-        if rules.far_end or not reaches_far_end(echo, is_fan):
+        corners = np.array([echo.corners], np.float32)
+        if rules.far_end or not reaches_far_end(corners, is_fan)[0]:
             yield shown
-
-
-def reaches_far_end(echo: Box, is_fan: Bools) -> bool:
-    """Whether echoes go on as far as the end of the range window, where they are cut off."""
-    row = echo.top - round(_END_SHARE * max(is_fan.shape))
-    return row < 0 or not is_fan[row, echo.left + echo.width // 2]

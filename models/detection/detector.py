@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ...factory.common.array_types import Float32s, Int64s, UInt8s
+from ...factory.common.array_types import Bools, Float32s, Int64s, UInt8s
 from . import SHIPPED_NAME, find_detector
 from .augmentation import place_unchanged
 from .boxes import (
@@ -22,12 +22,21 @@ from .boxes import (
     no_boxes,
     suppress_duplicates,
 )
-from .images import LabelledImage, WorkingImage, canvas_shape, scale_image
+from .images import (
+    LabelledImage,
+    WorkingImage,
+    canvas_shape,
+    find_fan,
+    reaches_far_end,
+    scale_image,
+)
 from .network import DIVISOR, STRIDE, DetectorNetwork, Outputs
 from .weights import TrainedDetector, load_detector
 
 _SIDES_PX = (80, 160, 288)
 """Longer sides at which an image is looked at: objects come in more sizes than a dataset has."""
+_USUAL_SIDE = 0.08  # of the longer side of the image: narrower detections count less
+_CUT_OFF = 0.6  # weight of detections at the far end of the range
 _MOST = 40  # detections in an image
 _LEAST_SCORE = 0.01
 _SAME_IOU = 0.45  # detections that overlap more are of one object
@@ -91,7 +100,7 @@ def detect(trained: TrainedDetector, images: Sequence[LabelledImage]) -> list[De
     by_size = [_detect_at(trained.network, images, side_px) for side_px in _SIDES_PX]
     detections = []
     for image, views in zip(images, zip(*by_size, strict=True), strict=True):
-        fused = _fuse(views)
+        fused = _weigh(_fuse(views), find_fan(image.image))
         margin_px = trained.margin * max(image.image.shape)
         boxes = grow_boxes(fused.boxes, margin_px, *image.image.shape)
         detections.append(Detections(boxes, fused.scores, fused.labels))
@@ -146,6 +155,20 @@ def _fuse(views: Sequence[Detections]) -> Detections:
         np.array(kept_scores, np.float32),
         np.array(kept_labels, np.int64),
     )
+
+
+def _weigh(detections: Detections, is_fan: Bools) -> Detections:
+    """The same detections, best first, with lower scores where people label few objects.
+
+    These are narrow ones, and those that the far end of the range may cut off.
+    """
+    boxes = detections.boxes
+    sides = (boxes[:, 2:] - boxes[:, :2]).min(axis=1, initial=np.inf)
+    weights = np.minimum(sides / (_USUAL_SIDE * max(is_fan.shape)), 1)
+    weights = np.where(reaches_far_end(boxes, is_fan), _CUT_OFF * weights, weights)
+    scores = (detections.scores * weights).astype(np.float32)
+    order = np.argsort(-scores, kind="stable")
+    return Detections(boxes[order], scores[order], detections.labels[order])
 
 
 def _with_mirror(network: DetectorNetwork, inputs: Tensor) -> Outputs:

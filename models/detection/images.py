@@ -14,6 +14,8 @@ from .boxes import Boxes
 SIDE_PX = 160
 """The longer side of an image that the detector learns from."""
 
+_END_SHARE = 0.0125  # what comes so near to the far end, as a share of the longer side, is cut off
+
 UNKNOWN = -1
 """Label of an object whose class the detector does not know."""
 
@@ -72,6 +74,18 @@ def find_fan(image: UInt8s) -> Bools:
     if lit is not None:
         cv2.fillConvexPoly(filled, cv2.convexHull(lit), (1,))
     return filled > 0
+
+
+def reaches_far_end(boxes: Boxes, is_fan: Bools) -> Bools:
+    """(N,) bool: whether the end of the range window may cut off what is in each box.
+
+    boxes: (N, 4) px.  is_fan: (H, W) bool; ranges grow towards the top.
+    """
+    height, width = is_fan.shape
+    rows = np.rint(boxes[:, 1] - _END_SHARE * max(height, width)).astype(int)
+    middles = ((boxes[:, 0] + boxes[:, 2]) / 2).astype(int)
+    inside = is_fan[np.clip(rows, 0, height - 1), np.clip(middles, 0, width - 1)]
+    return np.asarray((rows < 0) | ~inside)
 
 
 def canvas_shape(images: Sequence[WorkingImage], stride: int) -> tuple[int, int]:

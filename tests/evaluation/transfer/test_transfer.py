@@ -29,11 +29,9 @@ from simnfnd.evaluation.transfer.scores import (
 from simnfnd.evaluation.transfer.sheet import detection_sheet, match_greedily
 from simnfnd.evaluation.transfer.simulated import (
     LabelRules,
-    reaches_far_end,
     read_simulated,
 )
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.production.export.object_boxes import Box
 from simnfnd.models.detection.boxes import no_boxes
 from simnfnd.models.detection.detector import Detections
 from simnfnd.models.detection.images import LabelledImage
@@ -275,15 +273,6 @@ def test_rules_choose_what_is_taught(tmp_path: Path) -> None:
     assert {label for working in learned for label in working.labelled.labels} == {1}
     with pytest.raises(FactoryError):
         read_simulated(dataset, ("Bottle",), LabelRules(with_shadow=("Bottle",)))
-
-
-def test_objects_at_the_far_end_are_cut_off() -> None:
-    """The fan's far end is an arc: at its sides it lies lower than in the middle."""
-    is_fan = np.ones((80, 60), bool)
-    is_fan[:20, :20] = False
-    assert reaches_far_end(Box(5, 20, 6, 9), is_fan)
-    assert not reaches_far_end(Box(30, 21, 6, 9), is_fan)
-    assert reaches_far_end(Box(30, 0, 6, 9), is_fan)
 
 
 def test_exports_are_read_as_they_are(tmp_path: Path) -> None:

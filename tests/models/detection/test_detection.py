@@ -28,14 +28,17 @@ from simnfnd.models.detection.detector import (
     _decode,
     _detect_at,
     _fuse,
+    _weigh,
     detect,
     find_objects,
+    no_detections,
 )
 from simnfnd.models.detection.images import (
     SIDE_PX,
     LabelledImage,
     WorkingImage,
     find_fan,
+    reaches_far_end,
     scale_image,
 )
 from simnfnd.models.detection.network import STRIDE, DetectorNetwork, Outputs
@@ -248,6 +251,19 @@ def test_views_are_fused() -> None:
     # At the edge of an image a box may keep no area.
     edge = Detections(as_boxes((64, 3, 64, 9)), np.array([0.2], np.float32), np.array([0]))
     assert _fuse([edge]).boxes.tolist() == [[64, 3, 64, 9]]
+
+
+def test_narrow_and_cut_off_detections_count_less() -> None:
+    """The fan's far end is an arc: at its sides it lies lower than in the middle."""
+    is_fan = np.ones((100, 60), bool)
+    is_fan[:20, :20] = False
+    corners = ((5, 20, 15, 40), (30, 21, 40, 40), (30, 0, 40, 40), (30, 50, 32, 90))
+    boxes = np.array(corners, np.float32)
+    assert reaches_far_end(boxes, is_fan).tolist() == [True, False, True, False]
+    weighed = _weigh(Detections(boxes, np.full(4, 0.8, np.float32), np.arange(4)), is_fan)
+    assert weighed.labels.tolist() == [1, 0, 2, 3]
+    np.testing.assert_allclose(weighed.scores, [0.8, 0.48, 0.48, 0.2], rtol=1e-6)
+    assert not len(_weigh(no_detections(), is_fan).scores)
 
 
 def test_margin_of_the_file_moves_the_sides(tmp_path: Path) -> None:
