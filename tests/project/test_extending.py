@@ -215,6 +215,7 @@ def test_typing_errors_and_help_know_the_package(
     assert answer in run(site, *words, code=code)
 
 
+@pytest.mark.slow
 def test_a_reader_and_a_preset_make_pairs(
     site: Path, made: tuple[Path, str], run: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -232,6 +233,7 @@ def test_a_reader_and_a_preset_make_pairs(
     assert "0 of 1 frames work now" in rerun
 
 
+@pytest.mark.slow
 def test_a_method_of_a_package_is_judged(
     site: Path, made: tuple[Path, str], run: Callable[..., str], tmp_path: Path
 ) -> None:

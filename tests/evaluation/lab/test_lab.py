@@ -89,6 +89,7 @@ def test_the_exported_command_makes_the_images_of_the_lab(session: Session, data
             assert pair.clean.tobytes() == pairs[row]["clean"].tobytes()
 
 
+@pytest.mark.slow
 def test_a_dataset_is_where_the_lab_goes_on(session: Session, dataset: Path) -> None:
     again = Session(words_of_dataset(dataset))
     more = {"noise.volume.strength_db": -40}

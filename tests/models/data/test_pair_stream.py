@@ -87,6 +87,7 @@ def test_labels_and_shapes_are_those_of_the_dataset(words: tuple[str, ...]) -> N
         PairStream(*words, layers=("noisy", "echo"))
 
 
+@pytest.mark.slow
 def test_several_workers_give_the_same_batches(words: tuple[str, ...]) -> None:
     stream = PairStream(*words, batch_size=2)
     alone = fingerprints(stream.batch(number) for number in range(6))
