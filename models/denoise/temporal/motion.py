@@ -37,6 +37,17 @@ _AFFINE_USUAL = 0.7  # and of the edges of a frame against its middle
 _GRAIN = 8.0  # neighbouring pixels that noise shares
 _LEAST_HALVED = 192
 _SAMPLED = 7  # every such pixel tells the spread of a residual
+_LIT_AROUND = (7, 7)  # reduced pixels over which a scene must be lit
+_LEVEL_AROUND = (21, 21)  # reduced pixels whose mean is the coarse level
+_LEAST_SHARE = 1e-3  # of them lit, against division by 0
+_GRAIN_SIGMA = 1.0  # reduced pixels: blur that takes fine grain away
+_SOBEL_SCALE = 1 / 8  # makes OpenCV's sums differences of a pixel
+_OUTLIER = 2.5  # standard deviations at which a residual is clipped
+_SIGMA_OF_MEDIAN = 1.4826  # standard deviation over the median magnitude of a normal variable
+_LEAST_SIGMA = 1e-4
+_BETTER_START = 0.01  # of the correlation, by which a start must be ahead of the others
+_FLOW_SIGMA = 0.8  # cells: blur of the motion of blocks
+_LEAST_FLOW = 0.15  # reduced pixels: less is no motion of a block
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,19 +86,20 @@ class AlignmentView:
     """What alignment keeps of a frame: reduced, its noise made equal, coarse levels taken away.
 
     grey: (H, W) in 0..1.  shift_px: see `Aligner.add`.
+    lit: (h, w) 1 where the scene is lit all around, else 0.  band: (h, w) root of the grey values
+    without fine grain and coarse level, 0 where not lit.
     """
 
     def __init__(self, grey: Array, shift_px: tuple[float, float] | None) -> None:
         self.full_shape = grey.shape
         self.shift_px = shift_px
         small = np.sqrt(np.maximum(reduced(grey), 0))  # noise grows with the level
-        lit = (cv2.blur(small, (7, 7)) > np.sqrt(_LIT)).astype(np.float32)
-        self.lit: Array = cv2.erode(
-            lit, np.ones((7, 7), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=(1.0,)
-        )
-        share = np.maximum(cv2.blur(self.lit, (21, 21)), 1e-3)
-        around = cv2.blur(small * self.lit, (21, 21)) / share
-        self.band: Array = (blurred(small, 1.0) - around) * self.lit
+        lit = (cv2.blur(small, _LIT_AROUND) > np.sqrt(_LIT)).astype(np.float32)
+        window = np.ones(_LIT_AROUND, np.uint8)
+        self.lit: Array = cv2.erode(lit, window, borderType=cv2.BORDER_CONSTANT, borderValue=(1.0,))
+        lit_share = np.maximum(cv2.blur(self.lit, _LEVEL_AROUND), _LEAST_SHARE)
+        coarse_level = cv2.blur(small * self.lit, _LEVEL_AROUND) / lit_share
+        self.band: Array = (blurred(small, _GRAIN_SIGMA) - coarse_level) * self.lit
         self.shape: tuple[int, int] = self.band.shape
         self.sampled = self.lit.ravel()[::_SAMPLED] > 0
 
@@ -99,8 +111,8 @@ class AlignmentView:
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
         """Slopes of the band along x and y."""
-        along = cv2.Sobel(self.band, cv2.CV_32F, 1, 0, scale=1 / 8)
-        down = cv2.Sobel(self.band, cv2.CV_32F, 0, 1, scale=1 / 8)
+        along = cv2.Sobel(self.band, cv2.CV_32F, 1, 0, scale=_SOBEL_SCALE)
+        down = cv2.Sobel(self.band, cv2.CV_32F, 0, 1, scale=_SOBEL_SCALE)
         return along * self.lit, down * self.lit
 
     @cached_property
@@ -179,7 +191,7 @@ class Aligner:
         return Motion(affine, _block_flow(pair, affine))
 
     def _starts(self, number: int, neighbour: int) -> list[Float64s]:
-        """By way of a frame between both, else by all that can be known."""
+        """Motions to start from: by way of a frame between both, else all that can be known."""
         view = self._views[number]
         neighbour_view = self._views[neighbour]
         for between in range(number - 1, neighbour, -1):
@@ -308,7 +320,7 @@ def _affine_motion(pair: _Pair, starts: Sequence[Float64s], steps: int) -> tuple
     for candidate in starts:
         if candidate.any():
             correlation = _correlation(band, pair.warped(candidate))
-            if correlation > best + 0.01:
+            if correlation > best + _BETTER_START:
                 start = candidate
                 best = correlation
     fine = _refined(pair, start, steps)
@@ -329,6 +341,10 @@ def _affine_motion(pair: _Pair, starts: Sequence[Float64s], steps: int) -> tuple
 
 
 def _refined(pair: _Pair, affine: Float64s, steps: int) -> Float64s:
+    """The motion after at most so many steps of Gauss and Newton.
+
+    The damping pulls the edges of a frame towards its middle, as far as motions are usually shifts.
+    """
     hessian = pair.view.hessian
     # Frames without any slope have no Hessian.
     least = 1e-6 * np.trace(hessian) + 1e-9
@@ -346,7 +362,11 @@ def _refined(pair: _Pair, affine: Float64s, steps: int) -> Float64s:
 
 
 def _block_flow(pair: _Pair, affine: Float64s) -> Array | None:
-    """What blocks move besides, where that is beyond doubt; (rows, columns, 2)."""
+    """What blocks move besides, where that is beyond doubt; (rows, columns, 2).
+
+    Each block solves two normal equations for its shift to the right and down (Lucas and Kanade);
+    `usual` pulls towards no shift, as far as shifts are usual.
+    """
     along, down = pair.view.slopes
     residual, noise, _ = pair.residual(affine)
     usual = np.float32(noise / _BLOCK_USUAL**2)
@@ -358,11 +378,14 @@ def _block_flow(pair: _Pair, affine: Float64s) -> Array | None:
     determinant: Array = xx * yy - xy * xy
     right = -(yy * x - xy * y) / determinant
     lower = -(xx * y - xy * x) / determinant
-    sure = -(right * x + lower * y) > _BLOCK_SURE * noise
-    if not sure.any():
+    # By how much the shift lowers the squared residual.
+    is_sure = -(right * x + lower * y) > _BLOCK_SURE * noise
+    if not is_sure.any():
         return None
-    flow = cv2.GaussianBlur(np.stack([right * sure, lower * sure], axis=-1), (0, 0), 0.8)
-    return flow if np.hypot(flow[..., 0], flow[..., 1]).max() > 0.15 else None
+    shifts = np.stack([right * is_sure, lower * is_sure], axis=-1)
+    flow = cv2.GaussianBlur(shifts, (0, 0), _FLOW_SIGMA)
+    largest = np.hypot(flow[..., 0], flow[..., 1]).max()
+    return flow if largest > _LEAST_FLOW else None
 
 
 def _block_sums(plane: Array) -> Array:
@@ -376,19 +399,23 @@ def _block_sums(plane: Array) -> Array:
 
 
 def _residual(view: AlignmentView, warped: Array) -> _Residual:
+    """What is left of the difference to a neighbour's band, seen from the frame.
+
+    The spread of a static scene is that of the median magnitude; larger differences are clipped.
+    """
     from . import kernels  # loads numba
 
     plane = (warped - view.band) * view.lit
     magnitudes = np.abs(plane.ravel()[::_SAMPLED][view.sampled])
     middle = len(magnitudes) // 2
-    usual = float(np.partition(magnitudes, middle)[middle]) if len(magnitudes) else 0.0
-    sigma = max(1.4826 * usual, 1e-4)
-    projected = kernels.clip_and_project(plane, *view.slopes, np.float32(2.5 * sigma))
+    median = float(np.partition(magnitudes, middle)[middle]) if len(magnitudes) else 0.0
+    sigma = max(_SIGMA_OF_MEDIAN * median, _LEAST_SIGMA)
+    projected = kernels.clip_and_project(plane, *view.slopes, np.float32(_OUTLIER * sigma))
     return _Residual(plane, _GRAIN * sigma * sigma, projected)
 
 
 def _correlation(band: Array, neighbour_band: Array) -> float:
-    """Where both show something; -1 where that is too little."""
+    """Correlation of two bands where both show something; -1 where that is too little."""
     from . import kernels  # loads numba
 
     return float(kernels.correlation(band, neighbour_band))
@@ -407,6 +434,7 @@ def _phase_shift(view: AlignmentView, neighbour_view: AlignmentView) -> Float64s
 
 
 def _warp(band: Array, affine: Float64s, interpolation: int = cv2.INTER_LINEAR) -> Array:
+    """The band of a neighbour, moved to where the frame shows the same."""
     if not affine.any():
         return band
     matrix = _matrix(affine, band.shape)[:2]
