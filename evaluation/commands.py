@@ -63,9 +63,9 @@ def detect(words: Sequence[str]) -> int:
 
 def transfer(words: Sequence[str]) -> int:
     """`simnfnd evaluate transfer [DATASET] REAL [--quick] [KEY=VALUE ...]`."""
-    from .judging.settings import TransferSettings
+    from .judging.settings import TransferReportSettings
 
-    return run_app(_transfer, "transfer", _transfer_words(words), TransferSettings)
+    return run_app(_transfer, "transfer", _transfer_words(words), TransferReportSettings)
 
 
 def realism(words: Sequence[str]) -> int:
@@ -228,9 +228,9 @@ def _detect(config: DictConfig) -> None:
 
 
 def _transfer(config: DictConfig) -> None:
-    from .judging.settings import TransferSettings
+    from .judging.settings import TransferReportSettings
 
-    settings: TransferSettings = build(TransferSettings, _values(config))
+    settings: TransferReportSettings = build(TransferReportSettings, _values(config))
     if settings.real is None and (settings.dataset.dir is None or not settings.classes):
         raise FactoryError(
             "real: give a folder of real images with boxes, or dataset=DIR and classes=[...] to "

@@ -23,7 +23,7 @@ from ...factory.common.files import real_path
 from ...factory.dataset import PairDataset
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.recordings import DATASET, IMAGE_SUFFIXES, dataset_of, kind_of, open_recording
-from ...models.recordings.device_settings import DeviceSettings
+from ...models.recordings.device_settings import RecordedSettings
 from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.names import in_order
 from ...models.recordings.views import frame_image, frame_settings
@@ -78,7 +78,7 @@ class RecordedImage:
             return image, geometry
         return image, None if self.known is None else self.known.with_size(*image.shape)
 
-    def settings(self) -> DeviceSettings:
+    def settings(self) -> RecordedSettings:
         """Of the sonar, as the recording or the name states them.  Raises FactoryError."""
         return frame_settings(self.path, self.number)
 

@@ -147,7 +147,7 @@ class OptionalDatasetFolder:
 
 
 @dataclass(frozen=True, config=STRICT)
-class TransferSettings:
+class TransferReportSettings:
     """All keys of conf/transfer.yaml."""
 
     real: str | None

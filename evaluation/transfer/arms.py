@@ -17,7 +17,7 @@ from ...models.detection.detector import Detections, detect
 from ...models.detection.images import UNKNOWN, WorkingImage, scale_image
 from ...models.detection.training import BatchShare, Schedule, train_detector
 from ...models.detection.weights import TrainedDetector, load_detector
-from ..judging.settings import TransferSettings
+from ..judging.settings import TransferReportSettings
 from .blobs import detect_blobs
 from .coco import RealImages
 from .scores import countable
@@ -52,7 +52,7 @@ class Comparison:
     held_out: simulated images that no detector learned from.
     """
 
-    settings: TransferSettings
+    settings: TransferReportSettings
     real: RealImages
     simulated: Sequence[WorkingImage] = ()
     held_out: Sequence[WorkingImage] = ()
@@ -178,7 +178,7 @@ class Comparison:
         return [image.labelled.group for image in self.real.images]
 
 
-def open_training(settings: TransferSettings) -> Comparison:
+def open_training(settings: TransferReportSettings) -> Comparison:
     """A training on a dataset without real images.  Raises FactoryError before any work."""
     folder = settings.dataset.dir
     classes = tuple(settings.classes or ())
@@ -192,7 +192,7 @@ def open_training(settings: TransferSettings) -> Comparison:
     return Comparison(settings, nothing, learned, held_out)
 
 
-def open_comparison(settings: TransferSettings, real: RealImages) -> Comparison:
+def open_comparison(settings: TransferReportSettings, real: RealImages) -> Comparison:
     """The images that the arms learn from.  Raises FactoryError before any work."""
     needs_simulation = {"simulation", "both"} & set(settings.arms)
     if settings.detector is not None:
@@ -222,7 +222,7 @@ def open_comparison(settings: TransferSettings, real: RealImages) -> Comparison:
     return Comparison(settings, real, learned, held_out)
 
 
-def rules_of(settings: TransferSettings) -> LabelRules:
+def rules_of(settings: TransferReportSettings) -> LabelRules:
     """How the objects of the dataset are labelled."""
     return LabelRules(
         padding=settings.padding,

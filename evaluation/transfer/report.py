@@ -14,7 +14,7 @@ from ...factory.common.files import check_writable
 from ...factory.common.plots import Curve, Plot, draw_plots
 from ...models.detection.detector import detect
 from ...models.detection.training import DETECTOR_NAME
-from ..judging.settings import TransferSettings
+from ..judging.settings import TransferReportSettings
 from ..metrics.statistics import FigureEstimate
 from ..report.document import Drawing, Section, write_report
 from ..report.tables import as_markdown, as_table, plain, written
@@ -65,7 +65,7 @@ class JudgedArm:
     recall_of: Mapping[str, float]
 
 
-def evaluate(settings: TransferSettings) -> None:
+def evaluate(settings: TransferReportSettings) -> None:
     """Train, judge, print the table and write the report.  Raises FactoryError.
 
     Without real images a detector is trained and judged on the test images of the dataset.
@@ -91,7 +91,7 @@ def evaluate(settings: TransferSettings) -> None:
         print(f"detector: {path}")
 
 
-def _train_alone(settings: TransferSettings) -> None:
+def _train_alone(settings: TransferReportSettings) -> None:
     comparison = open_training(settings)
     check_writable(settings.folder, "out")
     comparison.trained = comparison.train_simulated()
@@ -134,7 +134,7 @@ def _class_recall(images: Sequence[RealImage], arm: Arm, label: int, threshold: 
 
 
 def write(
-    settings: TransferSettings,
+    settings: TransferReportSettings,
     comparison: Comparison,
     judged: Sequence[JudgedArm],
     draws: Int64s,
@@ -312,7 +312,7 @@ def _simulated_text(figures: Figures | None) -> str:
 
 
 def _facts(
-    settings: TransferSettings,
+    settings: TransferReportSettings,
     comparison: Comparison,
     judged: Sequence[JudgedArm],
     simulated: Figures | None,

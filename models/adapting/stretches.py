@@ -17,7 +17,7 @@ from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..denoise.temporal.like_frames import LikeFrames
 from ..recordings import Recording, SonarFrame, open_recording
-from ..recordings.device_settings import DeviceSettings, settings_in_name, settings_of
+from ..recordings.device_settings import RecordedSettings, settings_in_name, settings_of
 from ..recordings.images import ImageFiles
 from ..recordings.inputs import Geometries, InputFile, find_items, sequences
 from ..recordings.palettes import grey_of_colours
@@ -43,7 +43,7 @@ class StretchFrame:
 
     grey: Float32s
     geometry: FanGeometry | None = None
-    settings: DeviceSettings = field(default_factory=DeviceSettings)
+    settings: RecordedSettings = field(default_factory=RecordedSettings)
 
     @property
     def sector(self) -> Bools:

@@ -20,7 +20,7 @@ from ...factory.common.errors import FactoryError
 from ...factory.common.workers.machine import usable_cores
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings.base import FULL_SCALE, SonarFrame
-from ..recordings.device_settings import DeviceSettings, settings_of
+from ..recordings.device_settings import RecordedSettings, settings_of
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from ..recordings.views import polar_geometry
 from .removed import Removed
@@ -143,7 +143,7 @@ class Denoising:
         *,
         wanted: bool = True,
         is_tracked: bool = False,
-        settings: DeviceSettings | None = None,
+        settings: RecordedSettings | None = None,
     ) -> SequenceFrame:
         """An image of a sequence, its colours read.
 
@@ -170,7 +170,7 @@ class Denoising:
         source = _Source(
             key, stored, self._strength, shown, levels, painted, white, self._level_range
         )
-        stated = DeviceSettings() if settings is None else settings
+        stated = RecordedSettings() if settings is None else settings
         return SequenceFrame(source, levels, fan, shift_px, wanted, is_tracked, stated)
 
     def sequence(
@@ -179,7 +179,9 @@ class Denoising:
         """What became of each image of a sequence, in order; see `open_sequence`."""
         yield from self.open_sequence(alone=alone).run(shots)
 
-    def open_sequence(self, *, alone: bool = False, at_once: int | None = None) -> FrameSequence:
+    def open_sequence(
+        self, *, alone: bool = False, at_once: int | None = None
+    ) -> SequenceDenoising:
         """A sequence of images, to be denoised in order.
 
         Frames of unlike settings are denoised apart, see `Interleaved`.
@@ -198,13 +200,13 @@ class Denoising:
         (denoised,) = self._opened(1, 1).run([self.shot(None, image, place)])
         return denoised
 
-    def _opened(self, frames: int, at_once: int) -> FrameSequence:
+    def _opened(self, frames: int, at_once: int) -> SequenceDenoising:
         tally = defaultdict[str, float](float)
         new_stream = partial(self._in_time, self.network, frames=frames, at_once=at_once)
         if frames == 1:
-            return FrameSequence(self, new_stream(tally=tally), new_stream, tally, at_once)
+            return SequenceDenoising(self, new_stream(tally=tally), new_stream, tally, at_once)
         stream = Interleaved(new_stream, tally, looks_ahead=not self._is_causal)
-        return FrameSequence(self, stream, new_stream, tally, at_once)
+        return SequenceDenoising(self, stream, new_stream, tally, at_once)
 
     def summary(self) -> Iterator[str]:
         """A line if colours stood for levels, and lines of what was done in time."""
@@ -252,7 +254,7 @@ class LazyFan:
         self._find = find
 
 
-class FrameSequence:
+class SequenceDenoising:
     """A sequence of images that is being denoised: shots in, denoised images out, in order.
 
     tally: see `InTime`.

@@ -12,7 +12,7 @@ from ..pretrained import DEFAULT, POINTS
 from ..recordings.inputs import Geometries, InputFile
 from .comparison_video import ComparisonVideo
 from .denoiser import Denoiser
-from .images import Denoising, FrameSequence
+from .images import Denoising, SequenceDenoising
 from .inverted import InvertedReport
 from .journal import Journal
 from .removed import RemovedReport
@@ -58,7 +58,7 @@ class DenoisingJob:
         report: FileReport,
         name: str,
         *,
-        sequence: FrameSequence | None = None,
+        sequence: SequenceDenoising | None = None,
         of_points: bool | None = None,
         result: Path | None = None,
         is_listed: bool = True,

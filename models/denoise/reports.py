@@ -14,7 +14,7 @@ from typing import Any
 
 from ...factory.common.array_types import Array
 from ...factory.common.files import write_atomically
-from .images import Denoised, FrameSequence
+from .images import Denoised, SequenceDenoising
 from .inverted import InvertedReport
 from .removed import RemovedReport
 from .temporal.strength import LEAST_MEASURED
@@ -57,7 +57,7 @@ class FileReport:
         self.removed.merge(other.removed, name)
         self.unchanged.merge(other.unchanged)
 
-    def row(self, weights: str, sequence: FrameSequence | None) -> Row:
+    def row(self, weights: str, sequence: SequenceDenoising | None) -> Row:
         """The row of the table; what is not known or not measured is empty.
 
         weights: their name.  sequence: that the file was denoised in.
@@ -78,7 +78,7 @@ class FileReport:
         return row
 
 
-def fusion_columns(sequence: FrameSequence) -> Row:
+def fusion_columns(sequence: SequenceDenoising) -> Row:
     """The columns of fusion and strength of a sequence."""
     tally = sequence.tally
     maps = ", ".join(sequence.maps)

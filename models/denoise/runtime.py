@@ -22,7 +22,7 @@ from ...factory.production.cli.extras import Need, require
 from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
-from ..pretrained.graphs import Form, Graph, find_runnable, unknown_graph
+from ..pretrained.graphs import Form, RunnableGraph, find_runnable, unknown_graph
 from .polar import Maps, polar_grid, sampled
 
 _PROBE_SHAPE = (96, 128)
@@ -62,7 +62,7 @@ def check_network(weights: Path, network: OnnxNetwork | TorchNetwork) -> None:
         )
 
 
-def find_graph(weights: Path) -> Graph | None:
+def find_graph(weights: Path) -> RunnableGraph | None:
     """The graph that computes these weights without torch, or None where none may be run.
 
     It ships, or lies beside the weights under the same name, as `simnfnd export-weights --to
@@ -146,7 +146,7 @@ class OnnxNetwork:
     on_gpu: whether it runs on a GPU.
     """
 
-    def __init__(self, path: Path, graph: Graph, device: str) -> None:
+    def __init__(self, path: Path, graph: RunnableGraph, device: str) -> None:
         """See `open_runtime`.  graph: one that may be run; see `pretrained.graphs`."""
         require([Need("simnfnd denoise", "onnxruntime")])
         import onnxruntime

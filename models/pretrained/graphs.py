@@ -29,7 +29,7 @@ Form = Literal["whole", "geometry", "single", "window"]
 frame of a window, whose change has no weight."""
 
 
-class Graph(NamedTuple):
+class RunnableGraph(NamedTuple):
     """A graph that may be run: its file and the content that was looked at."""
 
     path: Path
@@ -48,11 +48,11 @@ _PACKED = rb"\(simnfnd graph (?P<form>geometry|single|window) (?P<graph>[A-Za-z0
 
 
 def packed(form: Form, content: bytes) -> str:
-    """A graph as a fact of another one, where `Graph.forms` finds it."""
+    """A graph as a fact of another one, where `RunnableGraph.forms` finds it."""
     return f"(simnfnd graph {form} {base64.b64encode(content).decode()})"
 
 
-def find_runnable(weights: Path, description: bytes) -> Graph | None:
+def find_runnable(weights: Path, description: bytes) -> RunnableGraph | None:
     """The graph that computes these weights and may be run, or None.
 
     description: of the structure of the weights, which a graph states at its end.
@@ -99,7 +99,7 @@ def _folder() -> Path:
     return Path(base) / "simnfnd" / "graphs"
 
 
-def _read(path: Path) -> Graph | None:
+def _read(path: Path) -> RunnableGraph | None:
     with suppress(OSError):
-        return Graph(path, read_regular(path, _MOST_BYTES))
+        return RunnableGraph(path, read_regular(path, _MOST_BYTES))
     return None

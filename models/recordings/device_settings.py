@@ -22,7 +22,7 @@ _KHZ_OF_UNIT = {"khz": 1.0, "mhz": 1000.0}
 
 
 @dataclass(frozen=True)
-class DeviceSettings:
+class RecordedSettings:
     """What a frame says of how it was recorded; None and empty: it does not say.
 
     sequence: its channel, slice or topic.  head: name of the sonar.  beams: their number, 0 for an
@@ -39,7 +39,7 @@ class DeviceSettings:
     range_max_m: float | None = None
     beams: int = 0
 
-    def is_like(self, other: DeviceSettings) -> bool:
+    def is_like(self, other: RecordedSettings) -> bool:
         """Whether frames of both may be fused."""
         if (self.sequence, self.head, self.beams) != (other.sequence, other.head, other.beams):
             return False
@@ -53,7 +53,7 @@ class DeviceSettings:
             and _is_near(self.range_max_m, other.range_max_m, difference=_SAME_RANGE * range_m)
         )
 
-    def differences(self, other: DeviceSettings) -> list[str]:
+    def differences(self, other: RecordedSettings) -> list[str]:
         """What is stated and unlike in another one, such as `750 kHz`."""
         texts = {
             "sequence": self.sequence,
@@ -69,10 +69,10 @@ class DeviceSettings:
         return [text for name, text in texts.items() if _differs(self, other, name) and text]
 
 
-def settings_of(frame: SonarFrame) -> DeviceSettings:
+def settings_of(frame: SonarFrame) -> RecordedSettings:
     """The settings that a frame of a recording states."""
     beams = frame.beams
-    return DeviceSettings(
+    return RecordedSettings(
         sequence=frame.sequence,
         head=frame.device.name,
         frequency_khz=frame.device.frequency_khz,
@@ -85,11 +85,11 @@ def settings_of(frame: SonarFrame) -> DeviceSettings:
     )
 
 
-def settings_in_name(name: str) -> DeviceSettings:
+def settings_in_name(name: str) -> RecordedSettings:
     """The settings that the name of an image states: a number before kHz, MHz or dB."""
     values = {unit.lower(): float(number) for number, unit in _IN_NAME.findall(name)}
     frequencies = [values[unit] * khz for unit, khz in _KHZ_OF_UNIT.items() if unit in values]
-    return DeviceSettings(
+    return RecordedSettings(
         frequency_khz=frequencies[0] if frequencies else None, gain_db=values.get("db")
     )
 
@@ -102,11 +102,11 @@ def _is_near(
     return math.isclose(value, other, rel_tol=share, abs_tol=difference)
 
 
-def _differs(settings: DeviceSettings, other: DeviceSettings, name: str) -> bool:
+def _differs(settings: RecordedSettings, other: RecordedSettings, name: str) -> bool:
     """Whether one of the values is what makes both unlike."""
     single = {name: getattr(settings, name)}
     of_other = {name: getattr(other, name)}
     if name.startswith("range"):  # within a share of the largest range
         single["range_max_m"] = settings.range_max_m
         of_other["range_max_m"] = other.range_max_m
-    return not DeviceSettings(**single).is_like(DeviceSettings(**of_other))
+    return not RecordedSettings(**single).is_like(RecordedSettings(**of_other))

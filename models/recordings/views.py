@@ -20,7 +20,7 @@ from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.simulation.sonar.fan import fan_table
 from . import kind_of, open_recording
 from .base import FULL_SCALE, Beams, SonarFrame
-from .device_settings import DeviceSettings, settings_in_name, settings_of
+from .device_settings import RecordedSettings, settings_in_name, settings_of
 
 if TYPE_CHECKING:
     from ...factory.simulation.sonar.settings import SonarSettings
@@ -101,7 +101,7 @@ def _frame_at(path: Path, number: int) -> SonarFrame:
     return _opened(path)[number]
 
 
-def frame_settings(path: Path, number: int) -> DeviceSettings:
+def frame_settings(path: Path, number: int) -> RecordedSettings:
     """The settings that a frame states; of an image file those in its name.
 
     Raises FactoryError when it cannot be read.

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ....factory.common.array_types import Array
-from ...recordings.device_settings import DeviceSettings
+from ...recordings.device_settings import RecordedSettings
 from .brightness import UNLIKE, difference, gain_of, likeness_of, thumbnail_of
 from .motion import grey_of
 from .stream import SequenceFrame
@@ -35,7 +35,7 @@ class Kind:
     first, last: numbers of its frames in the sequence.  count: of them.
     """
 
-    settings: DeviceSettings
+    settings: RecordedSettings
     gain: float
     shape: tuple[int, ...]
     thumbnail: Array

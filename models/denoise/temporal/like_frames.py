@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 from ....factory.common.array_types import Array
-from ...recordings.device_settings import DeviceSettings
+from ...recordings.device_settings import RecordedSettings
 from .brightness import UNLIKE, likeness_of, thumbnail_of
 from .stream import SAME_GAIN
 
@@ -19,7 +19,7 @@ from .stream import SAME_GAIN
 class _Group:
     """Frames of one kind.  thumbnail: of the newest one.  places: of all."""
 
-    settings: DeviceSettings
+    settings: RecordedSettings
     shape: tuple[int, ...]
     thumbnail: Array
     places: list[int] = field(default_factory=list)
@@ -37,7 +37,7 @@ class LikeFrames:
         self._groups: list[_Group] = []
         self._count = 0
 
-    def add(self, grey: Array, settings: DeviceSettings) -> None:
+    def add(self, grey: Array, settings: RecordedSettings) -> None:
         """Take the next frame, (H, W) in 0..1."""
         thumbnail = thumbnail_of(grey)
         group = self._group_of(grey.shape, thumbnail, settings)
@@ -64,7 +64,7 @@ class LikeFrames:
         )
 
     def _group_of(
-        self, shape: tuple[int, ...], thumbnail: Array, settings: DeviceSettings
+        self, shape: tuple[int, ...], thumbnail: Array, settings: RecordedSettings
     ) -> _Group | None:
         candidates = [
             group

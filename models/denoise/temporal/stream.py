@@ -19,7 +19,7 @@ import numpy as np
 
 from ....factory.common.array_types import Array, Bools
 from ....factory.dataset.fan_geometry import FanGeometry
-from ...recordings.device_settings import DeviceSettings
+from ...recordings.device_settings import RecordedSettings
 from ..saturated import with_saturated
 from .brightness import UNLIKE, Likeness, likeness_of, thumbnail_of
 from .fusion import FusedFrame, Fusion, Neighbour
@@ -64,7 +64,7 @@ class SequenceFrame:
     shift_px: tuple[float, float] | None = None
     wanted: bool = True
     is_tracked: bool = False
-    settings: DeviceSettings = field(default_factory=DeviceSettings)
+    settings: RecordedSettings = field(default_factory=RecordedSettings)
 
 
 @lru_cache(maxsize=8)
@@ -74,7 +74,7 @@ def outside_of(geometry: FanGeometry, height: int, width: int) -> Bools:
 
 
 @dataclass(frozen=True, eq=False)
-class _FusedFrame:
+class _FusedShot:
     """A frame fused with its neighbours, ready for the network.
 
     sigma: (H, W) or (H, W, C) standard deviation of the noise that is left.
@@ -138,7 +138,7 @@ class InTime:
         self._reduced: dict[int, Array] = {}
         self._thumbnails: dict[int, Array] = {}
         self._geometries: dict[int, FanGeometry | None] = {}
-        self._fused_early: dict[int, _FusedFrame] = {}
+        self._fused_early: dict[int, _FusedShot] = {}
         self._newest = -1
         self._next = 0
         self._last_calibrated: int | None = None
@@ -246,7 +246,7 @@ class InTime:
         self._tally["moved"] += 1 - cv2.mean(fused.static_share, lit)[0]
         self._tally["alone"] += bool(fused.frame_count.max() <= 1)
 
-    def _fuse(self, number: int) -> _FusedFrame:
+    def _fuse(self, number: int) -> _FusedShot:
         """Fuse a frame with those frames of its window that show the same scene."""
         first = max(0, number - self._before)
         last = min(self._newest, number + self._after)
@@ -260,7 +260,7 @@ class InTime:
                 neighbours.append(Neighbour(neighbour - number, *aligned))
         fused = self._fusion(self._shots[number].levels, neighbours)
         geometry = self._geometry(number) if self._network is not None else None
-        return _FusedFrame(fused, self._sigma(fused.image, fused.frame_count), geometry)
+        return _FusedShot(fused, self._sigma(fused.image, fused.frame_count), geometry)
 
     def _aligned(self, number: int, neighbour: int) -> tuple[Array, Array] | None:
         """Levels of another frame as seen from this one, and (H, W) where they are visible.
@@ -333,7 +333,7 @@ class InTime:
         root: Array = np.sqrt(frame_count)
         return self._fusion.noise.at(image) / (root if image.ndim == 2 else root[..., None])
 
-    def _restore(self, frame: _FusedFrame, predictor_weights: Weights, levels: Array) -> Array:
+    def _restore(self, frame: _FusedShot, predictor_weights: Weights, levels: Array) -> Array:
         """The denoised frame; around a fan and in saturated echoes it keeps its own levels."""
         denoised = self._denoise(frame, predictor_weights)
         if self._network is not None:
@@ -346,7 +346,7 @@ class InTime:
         restored[outside] = levels[outside]
         return restored
 
-    def _denoise(self, frame: _FusedFrame, predictor_weights: Weights) -> Array:
+    def _denoise(self, frame: _FusedShot, predictor_weights: Weights) -> Array:
         """Denoise a fused frame, channel by channel.
 
         A single frame is what the network makes of it.  In a window the network's output is one of
@@ -366,7 +366,7 @@ class InTime:
         predictors = frame.predictors or self._compute_predictors(frame)
         return predictor_weights.apply(predictors, fused.frame_count)
 
-    def _compute_predictors(self, frame: _FusedFrame) -> Predictors:
+    def _compute_predictors(self, frame: _FusedShot) -> Predictors:
         """Run the network and the simpler denoisers beside it on a grey frame; see `Predictors`."""
         assert self._network is not None
         fused = frame.fused
@@ -408,7 +408,7 @@ class InTime:
         is_same_scene = self._fusion.shows_same(frame.fused, target_levels, visible)
 
         ones = np.ones_like(frame.fused.frame_count)
-        single = _FusedFrame(
+        single = _FusedShot(
             FusedFrame(levels, ones, ones), self._sigma(levels, ones), frame.geometry
         )
         single_predictors = self._compute_predictors(single)
@@ -422,8 +422,8 @@ class InTime:
         self.strength.fit()
 
 
-def _channel(frame: _FusedFrame, index: int) -> _FusedFrame:
+def _channel(frame: _FusedShot, index: int) -> _FusedShot:
     """One channel of a frame in colour, as a frame of its own."""
     image = np.ascontiguousarray(frame.fused.image[..., index])
     sigma = np.ascontiguousarray(frame.sigma[..., index])
-    return _FusedFrame(replace(frame.fused, image=image), sigma, frame.geometry)
+    return _FusedShot(replace(frame.fused, image=image), sigma, frame.geometry)

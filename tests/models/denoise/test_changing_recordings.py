@@ -21,7 +21,7 @@ from simnfnd.models.denoise.temporal.kinds import KindFinder
 from simnfnd.models.denoise.temporal.stream import SequenceFrame
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.device_settings import (
-    DeviceSettings,
+    RecordedSettings,
     settings_in_name,
     settings_of,
 )
@@ -33,8 +33,8 @@ from tests.models.recordings.video_files import encode
 SIDE = 64
 COUNT = 6
 WINDOW = 5
-LOW = DeviceSettings(frequency_khz=750.0)
-HIGH = DeviceSettings(frequency_khz=1200.0)
+LOW = RecordedSettings(frequency_khz=750.0)
+HIGH = RecordedSettings(frequency_khz=1200.0)
 
 
 def static(seed: int, *, count: int = COUNT, level: float = 1.0, side: int = SIDE) -> Array:
@@ -47,7 +47,7 @@ def static(seed: int, *, count: int = COUNT, level: float = 1.0, side: int = SID
 
 def denoised(
     frames: Array,
-    settings: Sequence[DeviceSettings] | None = None,
+    settings: Sequence[RecordedSettings] | None = None,
     **options: Any,
 ) -> tuple[Array, str]:
     """What becomes of the frames with a network that changes nothing, and the summary."""
@@ -176,19 +176,19 @@ def test_a_moving_scene_is_one_kind() -> None:
 @pytest.mark.parametrize(
     ("first", "second", "is_like"),
     [
-        (DeviceSettings(gain_db=20.0), DeviceSettings(gain_db=20.4), True),
-        (DeviceSettings(gain_db=20.0), DeviceSettings(gain_db=23.0), False),
-        (DeviceSettings(range_max_m=10.0), DeviceSettings(range_max_m=10.1), True),
-        (DeviceSettings(range_max_m=10.0), DeviceSettings(range_max_m=12.0), False),
-        (DeviceSettings(pulse_us=10.0), DeviceSettings(pulse_us=20.0), False),
-        (DeviceSettings(head="port"), DeviceSettings(head="starboard"), False),
-        (DeviceSettings(sequence="channel 1"), DeviceSettings(sequence="channel 2"), False),
+        (RecordedSettings(gain_db=20.0), RecordedSettings(gain_db=20.4), True),
+        (RecordedSettings(gain_db=20.0), RecordedSettings(gain_db=23.0), False),
+        (RecordedSettings(range_max_m=10.0), RecordedSettings(range_max_m=10.1), True),
+        (RecordedSettings(range_max_m=10.0), RecordedSettings(range_max_m=12.0), False),
+        (RecordedSettings(pulse_us=10.0), RecordedSettings(pulse_us=20.0), False),
+        (RecordedSettings(head="port"), RecordedSettings(head="starboard"), False),
+        (RecordedSettings(sequence="channel 1"), RecordedSettings(sequence="channel 2"), False),
         (settings_in_name("a_1200kHz_03.png"), settings_in_name("a_1.2MHz_04.png"), True),
         (settings_in_name("a_1200kHz_03.png"), settings_in_name("a_750khz_04.png"), False),
         (settings_in_name("gain 12dB 3.png"), settings_in_name("gain 24dB 4.png"), False),
     ],
 )
-def test_settings(first: DeviceSettings, second: DeviceSettings, is_like: bool) -> None:
+def test_settings(first: RecordedSettings, second: RecordedSettings, is_like: bool) -> None:
     assert first.is_like(second) == second.is_like(first) == is_like
     assert bool(first.differences(second)) == (not is_like)
 

@@ -12,14 +12,14 @@ from simnfnd.evaluation.judging.recorded import open_input
 from simnfnd.evaluation.real.groups import search
 from simnfnd.models.adapting.stretches import read_clips
 from simnfnd.models.denoise.temporal.like_frames import LikeFrames
-from simnfnd.models.recordings.device_settings import DeviceSettings
+from simnfnd.models.recordings.device_settings import RecordedSettings
 from simnfnd.models.recordings.inputs import NONE, Geometries
 from tests.models.denoise.test_changing_recordings import HIGH, LOW, in_turns, static
 
 COUNT = 7
 
 
-def places_of(frames: np.ndarray, settings: list[DeviceSettings], *, in_time: bool) -> object:
+def places_of(frames: np.ndarray, settings: list[RecordedSettings], *, in_time: bool) -> object:
     like_frames = LikeFrames(compares_levels=in_time)
     for frame, stated in zip(frames, settings, strict=True):
         like_frames.add(frame, stated)
@@ -30,7 +30,7 @@ def places_of(frames: np.ndarray, settings: list[DeviceSettings], *, in_time: bo
 def test_frames_of_one_kind() -> None:
     """Levels count where one scene is shown in time; drifts and other scenes are no kinds."""
     frames = static(1, count=4)
-    untold = [DeviceSettings()] * 4
+    untold = [RecordedSettings()] * 4
     in_turn = frames * np.array([1, 0.6, 1, 0.6], np.float32)[:, None, None]
     drift = frames * np.array([1, 0.98, 0.96, 0.94], np.float32)[:, None, None]
     other = np.concatenate([frames[:2], static(2, count=2)])

@@ -20,7 +20,7 @@ from simnfnd.factory.common.array_types import Array
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.recordings import open_recording
-from simnfnd.models.recordings.device_settings import DeviceSettings
+from simnfnd.models.recordings.device_settings import RecordedSettings
 from tests.models.denoise.untrained import Halving
 from tests.models.recordings.video_files import encode
 from tests.project_files import ROOT
@@ -52,7 +52,7 @@ def smoothing(grey: Any, geometry: object = None) -> Any:
 
 def denoised(
     frames: Array,
-    settings: list[DeviceSettings] | None = None,
+    settings: list[RecordedSettings] | None = None,
     *,
     at_once: int = 1,
     **options: Any,
@@ -85,7 +85,7 @@ def test_interleaved_with_another_one_by_settings(name: str) -> None:
     first = recorded(name)
     second = first[::-1, ::-1]
     both = np.stack([first, second], axis=1).reshape(-1, *first.shape[1:])
-    settings = [DeviceSettings(gain_db=10.0), DeviceSettings(gain_db=20.0)] * len(first)
+    settings = [RecordedSettings(gain_db=10.0), RecordedSettings(gain_db=20.0)] * len(first)
     result = denoised(both, settings)
     np.testing.assert_array_equal(result[::2], plain(name))
     np.testing.assert_array_equal(result[1::2], denoised(second))
