@@ -50,7 +50,7 @@ def measure(options: Options) -> Section:
 
 
 def _run(folder: Path, out: str, count: int, limit_s: int | None = None) -> float:
-    """CPU seconds of denoising the first frames; limit_s: after so many the run is killed."""
+    """CPU seconds of denoising the first frames; limit_s: after this many the run is killed."""
     source = folder / "a.npy"
     if count == 1:
         source = folder / "one.npy"

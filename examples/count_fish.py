@@ -37,7 +37,7 @@ LABELS = EXAMPLE.with_name("lamprey1-fish.csv")
 
 WINDOW = 5  # frames that the network sees
 HELD_OUT = 1 / 3  # of the simulated recordings, which do not train
-HELD_OUT_STEP = 8  # every so many of their frames is looked at
+HELD_OUT_STEP = 8  # every n-th of their frames is looked at
 BATCH = 8
 CROP_PX = 64
 ZOOM = 1.0, 2.0  # simulated fish are smaller than those of lamprey1

@@ -96,7 +96,7 @@ def denoise(
     opening_deg: angle from the left edge of the first column to the right edge of the last one,
         degrees, of geometry="polar"; without it 30 are assumed, with a warning.
     strength: part of the change that an image gets, 0 to 1.
-    frames: of a stack whose images follow each other in time: up to so many, odd, are laid over
+    frames: of a stack whose images follow each other in time: up to this many, odd, are laid over
         each other and fused where they show the same; 1: each alone.
     causal: fuse with images before alone.
     device: gpu means CUDA; auto takes it where it is usable.

@@ -99,7 +99,7 @@ def figures_of(
 
 
 def threshold_of(responses: Responses, alarms_per_frame: float) -> float:
-    """The change at or above which the twin without targets gives so many alarms per frame.
+    """The change at or above which the twin without targets gives this many alarms per frame.
 
     It is the height of the lowest of these alarms; 0 where there are fewer alarms than that.
     """

@@ -105,7 +105,7 @@ def open_input(
 ) -> tuple[list[Stretch], tuple[str, ...]]:
     """All folders and recordings at a path, or of a dataset, and notes for the report.
 
-    most: of each so many shots, the first ones.  key: of the configuration, for errors.
+    most: number of shots of each, the first ones.  key: of the configuration, for errors.
     Raises FactoryError when there is nothing, or a recording cannot be opened.
     """
     root = Path(location).expanduser()

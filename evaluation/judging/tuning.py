@@ -37,7 +37,7 @@ from .settings import EvaluationSettings
 SCHEMA = "simnfnd-tuned/1"
 
 _SLOW = ("bm3d",)  # filters that are tuned on fewer frames
-_SLOWER = 4  # of which they see one in so many
+_SLOWER = 4  # of which they see one in this many
 _BEST = 2  # points that are compared on whole frames
 _LEAST_SIDE = 96  # pixels of the middle of a frame
 

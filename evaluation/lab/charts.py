@@ -78,7 +78,7 @@ class _SpectralRings(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _rings(rows: int, columns: int) -> _SpectralRings:
-    """The rings of images of so many rows and columns."""
+    """The rings of images of this many rows and columns."""
     window = np.outer(np.hanning(rows), np.hanning(columns)).astype(np.float32)
     cycles = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns)[None, :])
     rings = np.minimum((cycles / 0.5 * _RINGS).astype(np.intp), _RINGS)

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def evenly(every: Sequence[T], most: int | None) -> list[T]:
-    """Choose at most so many items, evenly spread; None: all."""
+    """Choose at most this many items, evenly spread; None: all."""
     count = len(every) if most is None else min(most, len(every))
     return [every[number * len(every) // count] for number in range(count)]
 

@@ -81,7 +81,7 @@ class Searched(NamedTuple):
 
 
 def search(task: tuple[int, Stretch, int | None]) -> Searched:
-    """The static groups of a stretch, of each at most so many frames, the first ones.
+    """The static groups of a stretch, of each at most this many frames, the first ones.
 
     task: a number that is not looked at, the stretch, and how many frames, None for all.
     Raises FactoryError for an image that cannot be read, and a recording without readable frames.

@@ -65,7 +65,7 @@ def plain(value: float | None) -> float | None:
 
 
 def written(value: float | None, digits: int, sign: bool = False) -> str:
-    """A figure with so many digits; `-` for none."""
+    """A figure with this many digits; `-` for none."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:{'+' if sign else ''}.{digits}f}"

@@ -187,7 +187,7 @@ def recall_at(
     alarms_per_image: Sequence[float],
     weights: Int64s | None = None,
 ) -> list[float]:
-    """The part of the objects that is found with so many false alarms per image, or fewer."""
+    """The part of the objects that is found with this many false alarms per image, or fewer."""
     counts = _counts(matches, weights)
     object_count = float((counts * matches.object_counts).sum())
     if not object_count:

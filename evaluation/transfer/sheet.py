@@ -29,7 +29,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 def detection_sheet(
     images: Sequence[RealImage], detections: Sequence[Detections], threshold: float, most: int
 ) -> bytes:
-    """A PNG of at most so many images, one of each group first.
+    """A PNG of at most this many images, one of each group first.
 
     Green: an object that was found; red: one that was missed; yellow: a false alarm; grey: a box of
     an ignored class.  Detections below the threshold are left out.

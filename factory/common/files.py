@@ -141,7 +141,7 @@ def _temporary_for(path: Path) -> Path:
 
 
 def shortened(name: str, most_bytes: int = 180) -> str:
-    """A file name of at most so many bytes: file systems take 255, and temp files have longer ones.
+    """A file name of at most this many bytes: file systems take 255, temporary files need some.
 
     What is cut off counts by its hash, so that different names stay different.
     """

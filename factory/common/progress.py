@@ -124,7 +124,7 @@ class _AsLines:
 def progress_bar(*, total: int, initial: int = 0, unit: str, desc: str) -> tqdm[Any]:
     """A bar over `total` steps that `update` counts; fit for where stderr goes.
 
-    unit: what is counted, in the singular.  initial: so many of them were done before.
+    unit: what is counted, in the singular.  initial: this many of them were done before.
     """
     options: dict[str, Any] = {"total": total, "initial": initial, "unit": unit, "desc": desc}
     if sys.stderr.isatty():

@@ -304,7 +304,7 @@ class PairDataset:
         return self.recordings.sequence(recording)
 
     def windows(self, frames: int = WINDOW_FRAMES, step: int = 1) -> Iterator[FrameSequence]:
-        """Every `step`-th window of so many frames of all recordings, none over a gap."""
+        """Every `step`-th window of this many frames of all recordings, none over a gap."""
         return self.recordings.windows(frames, step)
 
     def close(self) -> None:

@@ -44,7 +44,7 @@ from .schema import (
 )
 from .settings import DatasetSettings
 
-# Weights of the sums of Fletcher's checksum, for a piece of so many words.
+# Weights of the sums of Fletcher's checksum, for a piece of this many words.
 _WEIGHTS = np.arange(1 << 16, 0, -1, dtype=np.float64)
 
 

@@ -85,7 +85,7 @@ def read_clips(
 ) -> ReadClips:
     """The frames of files, and of all files below folders but those below `out`.
 
-    most: about so many frames are read, of more in runs that follow each other, evenly spread.
+    most: about this many frames are read, of more in runs that follow each other, evenly spread.
     Raises FactoryError when there are none.
     """
     items = find_items(paths, out)

@@ -23,7 +23,7 @@ from .displays import Display, ImagePart, draw_display, resized_planes, show, wi
 from .pairs import Batch, ImageSource, TrainingImage
 
 LANES = 8
-"""Steps that follow each other draw their images from so many lanes; see `VisitSampler`."""
+"""Steps that follow each other draw their images from this many lanes; see `VisitSampler`."""
 KEPT_IN_LANE = 12
 """Images of a lane that are visited again."""
 KEPT = LANES * KEPT_IN_LANE

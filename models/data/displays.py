@@ -163,7 +163,7 @@ def _band_gain(places: Float32s, band: Band) -> Float32s:
 
 
 def with_greys(image: Float32s, count: int) -> Float32s:
-    """An image in 0..1 with so many grey values; 0 leaves it."""
+    """An image in 0..1 with this many grey values; 0 leaves it."""
     if not count:
         return image
     return np.asarray(np.rint(image * (count - 1)) / np.float32(count - 1), np.float32)

@@ -47,7 +47,7 @@ class Target:
 
 
 def draw_targets(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[Target, ...]:
-    """Targets all over an image of so many rows and columns."""
+    """Targets all over an image of this many rows and columns."""
     height, width = shape
     targets = []
     for _ in range(max(1, round(height * width / _AREA_PX))):

@@ -33,7 +33,7 @@ _EVERY_PX = 4  # rows and columns from one pixel of that quantile to the next
 
 _TARGET_PX = (2.0, 4.0)  # sigmas that smooth the removed signal to the size of targets
 _AROUND_PX = 65  # side of the window in which the smoothed signal has one mean and one spread
-_CLIPPED = 2.5  # a pixel adds at most so many mean deviations to the spread
+_CLIPPED = 2.5  # a pixel adds at most this many mean deviations to the spread
 _LEAST_SPREAD = 0.6
 """Least local spread as a part of the image's, so that ordinary grain is not reported where hardly
 anything was removed."""
@@ -192,7 +192,7 @@ class RemovedReport:
         return self._worst
 
     def limit(self) -> float:
-        """Deviation of a spot that grain alone does not reach in so many images."""
+        """Deviation of a spot that grain alone does not reach in this many images."""
         return _LIMIT + _LIMIT_RISE * math.log(max(len(self._deviations), 1))
 
     def summary(self) -> Iterator[str]:

@@ -47,7 +47,7 @@ class Codec:
     options: dict[str, str]
 
     def depth_for(self, bits: int) -> int | None:
-        """The least depth that holds so many bits; None where none does."""
+        """The least depth that holds this many bits; None where none does."""
         return min((depth for depth in self.grey if depth >= bits), default=None)
 
 

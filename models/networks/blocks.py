@@ -32,5 +32,5 @@ class ResidualBlock(nn.Module):
 
 
 def residual_blocks(channels: int, count: int) -> nn.Sequential:
-    """A chain of so many residual blocks."""
+    """A chain of this many residual blocks."""
     return nn.Sequential(*(ResidualBlock(channels) for _ in range(count)))

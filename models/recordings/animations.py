@@ -222,7 +222,7 @@ def _frames_of_webp(file: IO[bytes]) -> _Whole:
 
 
 def _closed(content: bytes, count: int) -> bytes:
-    """The first bytes of a file, up to the end of a frame, as a file of so many frames."""
+    """The first bytes of a file, up to the end of a frame, as a file of this many frames."""
     if content.startswith(b"RIFF"):
         return content[:4] + struct.pack("<I", len(content) - 8) + content[8:]
     if not content.startswith(PNG_SIGNATURE):

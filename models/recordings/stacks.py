@@ -59,7 +59,7 @@ class StackFile(Recording):
     """A TIFF file; a `Recording` of images, (H, W) or (H, W, 3) BGR, one a page.
 
     ImageJ and tifffile may write one directory, and the images behind each other without
-    compression; then so many are read as are there.  Channels are sequences of their own, and so
+    compression; then as many are read as are there.  Channels are sequences of their own, and so
     are slices where there are times as well (`PageAxes`).
 
     tags: tag -> value, of the description and the resolution, which a copy keeps.

@@ -173,7 +173,7 @@ def _seconds_of_epoch(digits: Sequence[str]) -> float | None:
 
 
 def _seconds_of_date(date_format: str, date_digits: int, digits: Sequence[str]) -> float | None:
-    """Of a date of so many digits, and of the time of day behind it, if there is one."""
+    """Of a date of this many digits, and of the time of day behind it, if there is one."""
     text = "".join(digits)
     clock = text[date_digits:]
     clock_s = _seconds_of_clock([clock]) if clock else 0.0

@@ -397,7 +397,7 @@ def _pixels_of(plane: Any) -> Array:
 
 
 def widened(values: Array, bits: int) -> Array:
-    """Samples of so many bits as uint16 of full scale 65535; `narrowed` takes them back exactly."""
+    """Samples of this many bits as uint16 of full scale 65535; `narrowed` is the exact inverse."""
     if bits == 16:
         return values
     most = (1 << bits) - 1
@@ -405,7 +405,7 @@ def widened(values: Array, bits: int) -> Array:
 
 
 def narrowed(samples: Array, bits: int) -> Array:
-    """uint16 samples of full scale 65535 as whole numbers of so many bits."""
+    """uint16 samples of full scale 65535 as whole numbers of this many bits."""
     if bits == 16:
         return samples
     most = (1 << bits) - 1

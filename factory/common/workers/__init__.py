@@ -33,7 +33,7 @@ class Pool(NamedTuple):
 
     kinds: of tasks that they run; for the first kind they are taken before others.
     workers: how many processes; may be 0.
-    tasks_per_worker: a process is replaced after so many tasks; 0: never.
+    tasks_per_worker: a process is replaced after this many tasks; 0: never.
     """
 
     kinds: tuple[str, ...]

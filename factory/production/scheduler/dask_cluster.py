@@ -50,7 +50,7 @@ class DaskBackend(Backend):
     """A `Backend` over `distributed.Client`."""
 
     def __init__(self, workers: int, address: str | None) -> None:
-        """Connect, or start a cluster of so many.  Raises FactoryError when neither works."""
+        """Connect, or start a cluster of this many.  Raises FactoryError when neither works."""
         import dask
         import distributed
 

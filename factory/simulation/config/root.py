@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 class FramesSettings:
     """Keys of `frames`.
 
-    stride: use every n-th frame of a scene.  limit: at most so many frames a scene (after the
-    stride).  total: at most so many frames in all, spread over the scenes (after stride and limit);
+    stride: use every n-th frame of a scene.  limit: at most this many frames of each scene (after
+    the stride).  total: at most this many frames in all, spread over the scenes (after both);
     a larger total keeps the frames of a smaller one.  variants: pairs made of each frame, each with
     noise of its own.  only: names (location/scene/frame) of the frames to use; null uses all.
     min_insonified: refuses a frame with echoes in less than this part of the sonar's beams, 0 to 1;

@@ -37,7 +37,7 @@ _MATRIX = "Array(float32, 2, 'C', readonly=True)"
 # Of a camera: depths (H, W), directions of its columns and rows, (u - cx) / fx and (v - cy) / fy.
 _CAMERA = f"Tuple(({_MATRIX}, float32[::1], float32[::1]))"
 # Of polar bins: whether ranges count along the ground, near_m, bins_per_m, range bins; (beams + 1,)
-# sines of the beams' edges, and a table that says where in it to begin, so many steps a sine.
+# sines of the beams' edges; a table that says where in it to begin, and its steps per sine.
 _GRID = "Tuple((boolean, float64, float64, int64, float32[::1], int32[::1], float64))"
 # Of scatterers: (N,) each, flat camera pixel, and how far towards the pixel below, 0 to 1.
 _PLACES = "Tuple((int32[::1], float32[::1]))"
@@ -146,7 +146,7 @@ def add_white(
 
 # --- from rendered pixels to scatterers -------------------------------------------------------
 
-# A pixel at grazing incidence is at most so many scatterers.
+# A pixel at grazing incidence is at most this many scatterers.
 _MOST_PARTS = 32
 # When neighbours are one surface, as in `render.kernels.joints`: parts of the depth, and of a step.
 _SMALL_STEP = np.float32(0.02)

@@ -50,7 +50,7 @@ class Optics:
     def directions(self, rotation: Float64s, every: int, border: int = 0) -> Float32s:
         """(H, W, 3) ray directions in world axes whose length along the optical axis is 1.
 
-        every: only each such pixel of each such row.  border: so many pixels more, right and below.
+        every: only every n-th pixel of every n-th row.  border: pixels more, right and below.
         """
         fx, fy, cx, cy = self.lens
         x = ((np.arange(0, self.width + border, every) - cx) / fx)[None, :, None]

@@ -56,7 +56,7 @@ TiltSpan = tuple[_Tilt, _Tilt]
 
 
 PosesAlong = Callable[[float, Stance], Pose]
-"""The pose after so many metres along a drawn path, by a stance."""
+"""The pose after this many metres along a drawn path, by a stance."""
 
 
 @dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
@@ -80,7 +80,7 @@ class MeshSettings(RecordingSettings):
     poses_frame: axes of the poses; see `poses.PosesFrame`.
     route: orbit (around a named part, or all) or transect (straight over the world).
     paths, views_per_path: how many paths, each a scene, and views of each, a second apart.
-    frame_rate_hz: makes a recording of each drawn path: its views are pings, so many a second.
+    frame_rate_hz: makes a recording of each drawn path: its views are pings, this many per second.
     moving_objects, own_objects: objects that move in the recordings; see `moving.MovingObject` and
         `seabed.OwnObject`, of which each needs `moving`.  They need frame_rate_hz, or poses.
     height_m: least and most above the ground right under the camera.  distance_m: of an orbit.

@@ -19,7 +19,7 @@ def quantiles(values: Float32s, fractions: Sequence[float], *, skip: int = 0) ->
     """The quantiles of (N,) float32 numbers, none of which is negative or NaN; N > skip.
 
     Between the values of the two nearest ranks, linearly, in double precision.
-    skip: so many of the smallest do not count.
+    skip: this many of the smallest do not count.
     """
     from ...common.elementary import ranked  # loads numba; a fifth of the time that sorting takes
 

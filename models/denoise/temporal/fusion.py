@@ -28,7 +28,7 @@ from .tracking import MAX_OFFSET, Tracks, find_tracks
 
 _LEARNING_FRAMES = 30
 _LEARNING_INTERVAL = 8
-"""Noise is measured on each of the first frames, later on every so many."""
+"""Noise is measured on each of the first frames, later on every n-th."""
 # In reduced pixels, `motion.factors` times as large as those of the frames.
 _SMALL_SIGMA_PX = 0.8  # Gaussian of the small window
 _WIDE_SIDE_PX = 7  # side of the wide window

@@ -341,7 +341,7 @@ def _affine_motion(pair: _Pair, starts: Sequence[Float64s], steps: int) -> tuple
 
 
 def _refined(pair: _Pair, affine: Float64s, steps: int) -> Float64s:
-    """The motion after at most so many steps of Gauss and Newton.
+    """The motion after at most this many steps of Gauss and Newton.
 
     The damping pulls the edges of a frame towards its middle, as far as motions are usually shifts.
     """

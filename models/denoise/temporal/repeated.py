@@ -16,7 +16,7 @@ from .motion import grey_of
 from .stream import InTime, SequenceFrame, outside_of
 
 _MOST_COPIES = 64
-"""Copies that wait for one result; after so many the next one counts as a frame of its own."""
+"""Copies that wait for one result; after this many the next one counts as a frame of its own."""
 _CHANGED = 0.1  # grey value: a codec changes a copy by less, a clock over the fan by more
 _WINDOW_PX = 3
 

@@ -31,7 +31,7 @@ MOST_FRAMES = 31
 
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
 _CALIBRATION_INTERVAL = 8  # frames between the first two calibrations
-_MAX_INTERVALS = 4  # later calibrations are up to so many intervals apart
+_MAX_INTERVALS = 4  # later calibrations are up to this many intervals apart
 SAME_GAIN = 0.04
 """Logarithm of the ratio of levels up to which frames are as bright as each other; it is .017 at
 most in the recordings that ship."""

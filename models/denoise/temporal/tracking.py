@@ -23,7 +23,7 @@ _VELOCITY_STEP = 0.5
 _MAX_VELOCITY = 3.0
 """Reduced pixels per frame: between candidate velocities, and of the fastest one."""
 _MAX_DEVIATION = 4.0
-"""A single frame counts at most as so many standard deviations, so that a glint is no path."""
+"""A single frame counts at most as this many standard deviations, so that a glint is no path."""
 _LEVELS_PER_DEVIATION = 8
 _INDEX_BITS = 7
 """A 16-bit integer holds a sum of deviations (9 bits) and the index of its velocity."""

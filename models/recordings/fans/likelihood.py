@@ -15,7 +15,7 @@ from .sector import Sector
 
 INVALID_COST = 1e9
 """Cost of an outline without a sector; any sector in an image of 2^26 pixels costs less."""
-_MAX_FIT_COLUMNS = 400  # a fit takes every so many-th column of wider images
+_MAX_FIT_COLUMNS = 400  # a fit takes every n-th column of wider images
 # Limits of the probabilities, so that no pixel of an image is impossible.
 _INSIDE_LIMITS = 0.05, 0.97
 _OUTSIDE_LIMITS = 1e-3, 0.05

@@ -52,7 +52,7 @@ class LitPixels:
 
         The counts change smoothly with the sector, as a fit needs it.
 
-        column_step: only every so many-th column counts.
+        column_step: only every n-th column counts.
         """
         columns = self._columns(column_step)
         # The sums begin at the upper border of row 0, half a row above its centre.
@@ -65,7 +65,7 @@ class LitPixels:
         Pixels were lit whole when the image was made, so that these counts place an edge better
         than those of parts, which draw it outward.
 
-        column_step: only every so many-th column counts.
+        column_step: only every n-th column counts.
         """
         columns = self._columns(column_step)
         borders = row_spans(sectors, columns.astype(np.float64)) + 0.5
