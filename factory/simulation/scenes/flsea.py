@@ -86,9 +86,9 @@ class FlseaReader:
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
         if absent := [scene for scene in requested_scenes if scene not in folder_of_scene]:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
-        named = " or ".join(requested_scenes) if len(requested_scenes) < len(SCENES) else ""
+        named = f" {' or '.join(requested_scenes)}" if len(requested_scenes) < len(SCENES) else ""
         nothing = (
-            f"no FLSea scene {named} here with imgs/<timestamp>.tiff and depth/<timestamp>"
+            f"no FLSea scene{named} here with imgs/<timestamp>.tiff and depth/<timestamp>"
             f"{_DEPTH_ENDINGS[0]}; set scenes.root to {_EXPECTED}"
         )
         return discovery(frames, f"{root_setting}: {nothing}", skipped, notes)
