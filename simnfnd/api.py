@@ -373,6 +373,7 @@ class OpenRecording:
         self.close()
 
     def _shown(self, frame: SonarFrame) -> RecordedFrame:
+        """A frame as users get it: pings as fans, images with the fan that is found in them."""
         from .models.recordings.views import fan_of, grey_of
 
         if frame.beams is not None:

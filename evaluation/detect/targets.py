@@ -192,6 +192,7 @@ def _straight_track(
     speed_px: tuple[float, float],
     rng: np.random.Generator,
 ) -> Track:
+    """A track from a start in a random direction at a speed that is drawn from `speed_px`."""
     angle = float(rng.uniform(0, 2 * np.pi))
     speed = float(rng.uniform(*speed_px))
     down = speed * np.sin(angle)

@@ -207,6 +207,10 @@ def outline(image: Floats) -> Bools:
 
 
 def _with_table(table: Path, paths: list[Path]) -> tuple[RecordedImage, ...]:
+    """The images with the fans that a table gives them, one line each or one for all (`*`).
+
+    Raises FactoryError for a damaged table, and for images or lines without the other.
+    """
     lines = dict[str, FanGeometry]()
     number = 1
     try:

@@ -114,6 +114,10 @@ class _Limits(NamedTuple):
 
 
 def _limits_of(hint: Any) -> _Limits:
+    """What a type annotation allows: its types, the words of its Literals, and its limits.
+
+    Looks through unions and Annotated; the narrowest of several limits counts.
+    """
     types: set[type] = set()
     words: list[str] = []
     lowest = -math.inf
@@ -145,6 +149,10 @@ def _bound(limit: Any, name: str, sign: int = 1) -> float:
 def _parameter(
     group: str, name: str, value: Any, limits: _Limits, unit: str, sentence: str
 ) -> Control | None:
+    """The control of a key: a choice, a switch or a slider; None where a slider makes no sense.
+
+    value: the present one.  unit, sentence: what the page says of it.
+    """
     key = f"{group}.{name}"
     if limits.words:
         if len(limits.words) == 1:

@@ -114,6 +114,7 @@ class LabServer(PageServer):
         return request
 
     def _images(self, request: Request) -> dict[str, Any]:
+        """Both images of a request with what was drawn, keys without effect, and exports."""
         begun = time.perf_counter()
         session = self.session
         (pair,) = session.pairs(request.changes, request.frame, (request.variant,))

@@ -49,6 +49,7 @@ def words_of(config: FactoryConfig) -> list[str]:
 
 
 def _choices(config: FactoryConfig) -> list[str]:
+    """The words that choose the groups of a configuration, and keys that have no default."""
     device = config.sonar.name if config.sonar.name in choices_of("sonar") else "camera_matched"
     choices = {
         "scenes": config.scenes.kind,

@@ -225,6 +225,10 @@ def _group(
     static: StaticGroup,
     limit: int | None,
 ) -> Group:
+    """The frames of a static group with what is known of them.
+
+    Its mask excludes what moves, and a rim as wide as the frames are shifted.
+    """
     order = np.argsort(static.numbers)[:limit]
     chosen = [static.numbers[place] for place in order]
     shifts = static.shifts_px[order]

@@ -120,6 +120,10 @@ def _whole(node: Any) -> Any:
 
 
 def _study(settings: FitSettings) -> optuna.Study:
+    """The search of these settings, a new one or the one to continue.
+
+    Raises FactoryError where the folder holds a search with other settings.
+    """
     import optuna
     from optuna.storages.journal import JournalFileBackend
 

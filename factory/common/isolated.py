@@ -83,6 +83,10 @@ class IsolatedProcess:
         raise FactoryError(str(result)) if kind == "refused" else RuntimeError(result)
 
     def _answer(self, request: bytes, limit_s: float) -> tuple[str, Any]:
+        """Send a request and wait for the answer: its kind and its value.
+
+        Raises FactoryError where the process crashes or takes longer than the limit, and ends it.
+        """
         child = self._child = self._child or _start(self._memory_bytes)
         assert child.stdin is not None
         assert child.stdout is not None

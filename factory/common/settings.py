@@ -37,6 +37,7 @@ def build(kind: type[T] | Any, values: Mapping[str, Any], prefix: str = "") -> T
 
 
 def _one_line(error: ValidationError, kind: Any, values: Mapping[str, Any], prefix: str) -> str:
+    """All faults of a configuration in one line, each with its key; for a typo the nearest key."""
     parts = []
     for item in error.errors():
         keys, beside = _place(item["loc"], values)

@@ -111,6 +111,7 @@ def _fact_list(
     skipped: Mapping[str, int],
     more: Sequence[str],
 ) -> str:
+    """The list of facts: program, parts of a merged dataset, images left out, failed frames."""
     facts = [
         f"made by {provenance.generator}, format {SCHEMA}, config hash `{provenance.config_hash}`",
         *more,

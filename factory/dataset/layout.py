@@ -268,6 +268,7 @@ def _filters(stack: h5py.Dataset) -> tuple[str, int]:
 
 
 def _check_table(table: h5py.Dataset, samples: int) -> None:
+    """Raise FactoryError unless /meta has its rows and columns, of known types, in UTF-8."""
     names = table.dtype.names or ()
     if table.shape != (samples,) or not set(REQUIRED_COLUMNS).issubset(names):
         raise FactoryError(

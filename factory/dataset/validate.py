@@ -109,6 +109,7 @@ def validate(directory: Path, deep: bool = False) -> Report:
 
 
 def _facts_of(directory: Path, manifest: Manifest, path: str, deep: bool) -> Facts:
+    """What a shard says, read in another process, and what is wrong with it."""
     info = manifest.shards[path]
     if os.path.lexists(directory / path) and not inside(directory, directory / path):
         return {"problems": ["no regular file, or leads out of the dataset's folder; not read"]}
@@ -156,6 +157,7 @@ def _manifest_problems(directory: Path, manifest: Manifest) -> Iterator[str]:
 
 
 def _index_problems(directory: Path, manifest: Manifest) -> Iterator[str]:
+    """What is wrong with index.h5, one line at most."""
     path = directory / INDEX_NAME
     if not os.path.lexists(path):
         return
@@ -320,6 +322,7 @@ def shard_facts(path: Path, deep: bool) -> Facts:
 
 
 def _facts(file: h5py.File, deep: bool) -> Facts:
+    """What an opened shard says: see `shard_facts`."""
     noisy = file["noisy"]
     table = file["meta"][()]
     checksums = file[CHECKSUMS][()]

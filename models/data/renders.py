@@ -169,6 +169,10 @@ class DeviceSource(RenderedSource):
         )
 
     def _sample(self, ref: FrameRef, *names: int | str) -> TrainingImage | None:
+        """A training image of a frame by a drawn device; None where it is small or nearly empty.
+
+        names: of the random streams, beside the frame's.
+        """
         assert self.config.devices is not None
         device = devices.draw(self.config.devices, self.seed, ref.name, *names)
         view = self._views.view(ref)

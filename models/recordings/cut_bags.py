@@ -130,6 +130,7 @@ def _fields_of(content: bytes) -> dict[str, bytes]:
 
 
 def _bag_connection(number: int, fields: dict[str, bytes]) -> Connection:
+    """A connection of rosbags from the fields of a record of a ROS 1 bag."""
     from rosbags.interfaces import (
         Connection,
         ConnectionExtRosbag1,
@@ -195,6 +196,7 @@ def _add_schema(content: bytes, schemas: dict[int, Any]) -> None:
 def _add_channel(
     content: bytes, schemas: dict[int, Any], connections: dict[int, Connection]
 ) -> None:
+    """Add the connection of a channel record of an MCAP file, if its schema came before."""
     from rosbags.interfaces import Connection, ConnectionExtRosbag2
     from rosbags.rosbag2.storage_mcap import get_msgdef, get_qos
 

@@ -91,6 +91,10 @@ class FanTracker:
         return self._searched(image, grey)
 
     def _searched(self, image: Array, grey: UInt8s) -> FanGeometry | None:
+        """Search an image for its fan: the fan so far where it is still there, else what was found.
+
+        After searches in vain the next ones wait longer and longer.
+        """
         geometry = find_geometry(image)
         self.searched += 1
         fan = self._fan

@@ -131,6 +131,10 @@ def said_of_sequences(items: Sequence[InputFile]) -> Iterator[str]:
 
 
 def _of_input(path: Path, out: Path) -> list[InputFile]:
+    """The files that an input of the command line stands for.
+
+    Raises FactoryError where it holds nothing that can be denoised.
+    """
     if kind_of(path) == DATASET:
         return [InputFile(path, Path(path.name))]
     refuse_absent(path)

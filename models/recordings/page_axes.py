@@ -110,6 +110,7 @@ def _interval_of_imagej(values: dict[str, str]) -> float | None:
 
 
 def _axes_of_json(text: str, page_shape: tuple[int, ...]) -> PageAxes | None:
+    """The axes of the pages by the JSON of tifffile; None where it does not fit the pages."""
     try:
         values = json.loads(text)
     except (ValueError, RecursionError):

@@ -136,6 +136,7 @@ class StackFile(Recording):
         )
 
     def _contiguous(self, number: int, name: str) -> Array:
+        """A page of a file whose pages lie behind each other, without directories of their own."""
         first = self._first
         if not first.dtype:
             raise FrameError(f"{name}: samples of {first.number(BITS)} bits cannot be read")

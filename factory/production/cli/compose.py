@@ -86,6 +86,10 @@ def compose(words: Sequence[str]) -> Composition:
 
 
 def _compose(overrides: list[str], scenes: Mapping[str, Any] | None = None) -> Composition:
+    """Compose and check a configuration.
+
+    scenes: values that replace the group, for frames in memory.
+    """
     from omegaconf import OmegaConf, open_dict
 
     from ...simulation.config.key_effects import refuse_keys_without_effect
@@ -238,6 +242,10 @@ def own_effect_key(key: str) -> str:
 
 
 def _hydra_word(word: str, name: str, form: ValueForm, *, in_sweep: bool) -> str:
+    """A word of the command line as Hydra's grammar has it: texts quoted, paths expanded.
+
+    name: of the root configuration.  form: what values its keys take.
+    """
     key, equals, value = word.partition("=")
     if not equals or not _KEY.fullmatch(key):
         return word

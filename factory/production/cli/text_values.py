@@ -201,6 +201,7 @@ def _split(text: str, separator: str = ",") -> list[str]:
 
 
 def _separators(text: str, separator: str) -> Iterator[int]:
+    """Places where a separator divides a text: outside of quotes and of brackets that close."""
     expected: list[str] = []  # closing brackets
     at_start = True
     place = 0

@@ -53,6 +53,7 @@ def main(words: list[str]) -> int:
 
 
 def _state(directory: Path, manifest: Manifest, failed: int) -> None:
+    """Print who works on a dataset, its last runs, and what is there."""
     owner = owner_of(directory)
     running = "no worker is running"
     if owner:

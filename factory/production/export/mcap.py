@@ -267,6 +267,7 @@ def _ping(
     polar: Array, grid: PingGrid, header: Any, sonar: SonarDevice,
     facts: PingFacts, types: Mapping[str, Any],
 ) -> Any:  # fmt: skip
+    """The message ProjectedSonarImage of a ping: samples, beams, ranges and what is known of it."""
     direction = types["geometry_msgs/msg/Vector3"]
     samples = types["marine_acoustic_msgs/msg/SonarImageData"](
         is_bigendian=False,

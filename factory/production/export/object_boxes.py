@@ -64,6 +64,10 @@ def parse_places(text: str, place: str) -> dict[int, ObjectPlace]:
 
 
 def _place_of(entry: Mapping[str, Any]) -> ObjectPlace:
+    """The place of an object by an entry of the column `boxes`: points that fill its box.
+
+    Raises ValueError for numbers that are not finite.
+    """
     yaw_rad = math.radians(entry["yaw_deg"])
     along = np.linspace(-0.5, 0.5, _STEPS)
     parts = np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)

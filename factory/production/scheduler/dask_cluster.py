@@ -138,6 +138,7 @@ class DaskBackend(Backend):
                 sent.task.hear(tuple(message))
 
     def _done(self, name: str, remote: Any) -> None:
+        """Pass the result of a remote task, or why there is none, to whoever waits for it."""
         kind = ERROR
         value: Any = WorkerDied("its task was lost by Dask")
         dask = self._distributed

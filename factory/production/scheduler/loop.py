@@ -117,6 +117,12 @@ class ShardLoop:
             self._settle(work, future.result())
 
     def _died(self, work: _Work, reports: _Reports, error: TimeoutError | WorkerDied) -> None:
+        """Account for a worker that died or was killed with some work in hand.
+
+        The frame that it had begun is to blame: after `scheduler.retries` it is given up, and the
+        rest of the work goes back to the front of the queue.  A death before any frame has no
+        frame to blame.
+        """
         kind: FailureKind = "crash"
         reason = str(error)
         if isinstance(error, TimeoutError):

@@ -80,6 +80,7 @@ class ProgressBar:
         return sum(self.frames.values()) - self.frames["total"]
 
     def _draw(self, *, last: bool = False) -> None:
+        """Show how far the run is: to a callback, on a bar, or as a line now and then."""
         elapsed_s, share = self._rate()
         if self._reporter.progress is not None:
             self._reporter.progress(self._snapshot(elapsed_s, share))

@@ -47,6 +47,10 @@ def _colours(rgb: npt.ArrayLike) -> UInt8s:
 
 
 def _depths(depth_m: npt.ArrayLike) -> Float32s:
+    """(H, W) float32 metres; masked pixels are 0.
+
+    Raises ValueError for another shape or type, FrameError for a median that is hardly in metres.
+    """
     if isinstance(depth_m, np.ma.MaskedArray):
         depth_m = np.where(depth_m.mask, 0, depth_m.data)
     depths = _as_array(depth_m, "depth_m")

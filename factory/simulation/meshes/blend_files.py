@@ -53,6 +53,10 @@ def _opened(path: Path) -> Opened:
 
 @lru_cache(maxsize=1)
 def _opened_once(path: Path, _modified_ns: int) -> Opened:
+    """Open a .blend in Blender's module, without its scripts, and hide what exporters leave out.
+
+    Raises FactoryError without that module, and for a file that Blender does not open.
+    """
     try:
         bpy: Any = importlib.import_module("bpy")
     except (ImportError, OSError) as error:

@@ -183,6 +183,10 @@ class _SceneReader:
         return self._shapes[key]
 
     def _shape(self, primitive: Document, weights: tuple[float, ...], skin: int | None) -> Shape:
+        """A primitive with its morph weights and the pose of its skin applied.
+
+        Raises FactoryError for compressed geometry, ValueError for faces without vertices.
+        """
         attributes = primitive["attributes"]
         self._refuse_compression(primitive)
         vertices = self._buffers.numbers(attributes["POSITION"])[:, :3]

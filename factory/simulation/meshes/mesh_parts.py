@@ -196,6 +196,7 @@ class _Stored(NamedTuple):
 
 @lru_cache(maxsize=16)
 def _stored(path: str, _modified_ns: int) -> _Stored:
+    """The parts of a mesh file, read by another process.  _modified_ns: of the file, for caches."""
     content = READING.call(load, Path(path), limit_s=300.0)
     with np.load(io.BytesIO(content), allow_pickle=False) as saved:
         by_vertex = np.cumsum(saved["vertex_counts"])[:-1]

@@ -265,6 +265,10 @@ def read_obj(path: Path, most_faces: int, most_parts: int) -> list[RawPart]:
 
 
 def _read_geometry(path: Path, most_faces: int) -> _Geometry:
+    """Vertices, faces, groups and materials of an .obj, statement by statement.
+
+    Raises ValueError for a damaged statement, FactoryError for too many faces.
+    """
     geometry = _Geometry()
     names = ["", ""]  # of the object and the group
     group = geometry.group_names.setdefault(("", ""), 0)

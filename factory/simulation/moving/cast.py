@@ -105,6 +105,7 @@ def draw_cast(
 
 
 def _entries(settings: RecordingSettings) -> Iterator[_Entry]:
+    """The entries of the configuration whose objects move, built-in and own ones alike."""
     for number, item in enumerate(settings.moving_objects):
         is_fish = item.object == "Fish"
         yield _Entry(

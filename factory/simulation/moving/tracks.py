@@ -86,6 +86,7 @@ class _Heard(NamedTuple):
 
 
 def _heard(lit: LitSurface, moving: MovingPixels) -> _Heard:
+    """The echoes of moving objects that the sonar hears: within its beam, window and sector."""
     frame = lit.frame
     sonar = lit.sonar
     rays = camera_rays(frame)

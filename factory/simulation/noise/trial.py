@@ -79,6 +79,7 @@ def _declared_wrong(effect: Effect) -> Iterator[str]:
 
 
 def _parameters_wrong(settings: type[EffectSettings]) -> Iterator[str]:
+    """What is wrong with the parameters that the settings of an effect declare."""
     for item in fields(settings):
         if item.name == "enabled":
             continue
@@ -114,6 +115,7 @@ def _validated_defaults(settings: type[EffectSettings]) -> EffectSettings:
 
 
 def _signature_wrong(effect: Effect) -> Iterator[str]:
+    """Which functions of an effect do not take its parameters."""
     names = {item.name: None for item in effect.parameters}
     functions: dict[str, tuple[Callable[..., Any] | None, int]] = {
         "function": (effect.function, 3),

@@ -66,6 +66,7 @@ class LikeFrames:
     def _group_of(
         self, shape: tuple[int, ...], thumbnail: Array, settings: RecordedSettings
     ) -> _Group | None:
+        """The group that a frame belongs to: of like settings and level; None for a new one."""
         candidates = [
             group
             for group in self._groups

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 from pathlib import Path
+from typing import Any
 
 from simnfnd.factory.common import private_apis
 from tests.project_files import ROOT
@@ -42,10 +43,10 @@ def test_torch_ends_reading_processes_and_averages_many_tensors() -> None:
     import torch
     from torch.utils.data import DataLoader
 
-    loader = DataLoader([0, 1], num_workers=1, persistent_workers=True)
+    loader: Any = DataLoader([0, 1], num_workers=1, persistent_workers=True)  # type: ignore[arg-type]
     private_apis.end_reading_processes(loader)
     assert next(iter(loader)) == 0
-    processes = loader._iterator._workers  # type: ignore[union-attr]
+    processes = loader._iterator._workers
     private_apis.end_reading_processes(loader)
     assert not any(process.is_alive() for process in processes)
     averages = [torch.zeros(2), torch.ones(1)]

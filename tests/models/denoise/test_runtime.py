@@ -31,7 +31,7 @@ from simnfnd.models.exporting.export import main as export
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import KEY, Arrays, read_weights, save_weights
 from simnfnd.models.pretrained import find_weights, shipped
-from simnfnd.models.pretrained.graphs import Graph
+from simnfnd.models.pretrained.graphs import RunnableGraph
 from tests.models.recordings.fan_images import fan, preset
 
 Change = Callable[[Arrays], Arrays]
@@ -129,7 +129,7 @@ def test_a_graph_of_another_version_costs_a_line() -> None:
     other = content.replace(b"(simnfnd graph geometry", b"(another graph geometry")
     assert other != content
     with pytest.raises(FactoryError, match=r"simnfnd\.onnx: .*export-weights --to runtime"):
-        OnnxNetwork(weights, Graph(weights.with_suffix(".onnx"), other), "cpu")
+        OnnxNetwork(weights, RunnableGraph(weights.with_suffix(".onnx"), other), "cpu")
 
 
 @pytest.mark.parametrize("name", sorted(shipped()))
