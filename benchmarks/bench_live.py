@@ -33,7 +33,9 @@ def measure(options: Options) -> Section:
     memory = _memory_mib(count)
     return Section(
         (
-            Table(("512x512 pixels", "CPU s a frame", "wall s a frame", "slowest, wall s"), rows),
+            Table(
+                ("512x512 pixels", "CPU s per frame", "wall s per frame", "slowest, wall s"), rows
+            ),
             Table(
                 ("memory, MiB", f"after {count // 10:,} frames", f"after {count:,} frames"),
                 [("small frames", *memory)],

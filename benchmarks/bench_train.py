@@ -25,4 +25,5 @@ def measure(options: Options) -> Section:
             )  # fmt: skip
             step = (many - few) / (more.wall - less.wall)
             rows.append((network, step, (more.cpu - less.cpu) / (many - few)))
-    return Section((Table(("network, default recipe", "steps a second", "CPU s a step"), rows),))
+    header = ("network, default recipe", "steps per second", "CPU s per step")
+    return Section((Table(header, rows),))

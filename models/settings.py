@@ -41,7 +41,7 @@ class DataSettings:
     def __post_init__(self) -> None:
         if self.batch % self.crops:
             raise ValueError(
-                f"batch: {self.batch} crops a step must be a multiple of crops {self.crops}, "
+                f"batch: {self.batch} crops per step must be a multiple of crops {self.crops}, "
                 "the number that each image gives"
             )
 

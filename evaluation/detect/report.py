@@ -99,7 +99,7 @@ def write(settings: DetectSettings, outcome: DetectionOutcome) -> str:
 def overall_table(outcome: DetectionOutcome) -> pd.DataFrame:
     """Means over classes with their intervals, a line for each method."""
     head = [
-        "method", "AUC", "contrast", "detection", "against recorded", "false alarms a frame",
+        "method", "AUC", "contrast", "detection", "against recorded", "false alarms per frame",
         "ratio correlation",
     ]  # fmt: skip
     lines = []

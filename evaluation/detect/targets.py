@@ -81,7 +81,7 @@ class TrackPlan:
 
     classes: of the targets; they take turns.  at_once: most tracks in a frame.
     frames: length of a track; then new tracks begin elsewhere.
-    speed_px: least and greatest speed, pixels a frame.
+    speed_px: least and greatest speed, pixels per frame.
     """
 
     classes: tuple[TargetClass, ...]

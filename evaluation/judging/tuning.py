@@ -77,7 +77,7 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
     """Tune the baselines and write the file after each.
 
     What the file already has for the same pairs and grid is kept.  Returns lines to show:
-    one a baseline, and warnings.  Raises FactoryError for anything that is no readable dataset.
+    one per baseline, and warnings.  Raises FactoryError for anything that is no readable dataset.
     """
     items = validation_items(settings)
     path = settings.tuned_file

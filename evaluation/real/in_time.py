@@ -49,7 +49,7 @@ _LIMIT_S = 3600.0  # for a recording and a network
 _LIT = 8 / 255
 _MOVED_SHARE = 0.05  # of the scene, the part that changes most in time, is left out
 _WINDOW = 0.6  # of the height and width, in `moving`
-_FASTEST = (4.0, 3.0)  # pixels a frame, down and right
+_FASTEST = (4.0, 3.0)  # pixels per frame, down and right
 _SWIMS = 6.0
 _LENGTH = 12.0
 _WIDTH = 3.5
@@ -168,7 +168,7 @@ def _references(frames: Grey) -> tuple[Grey, Bools]:
 
 
 def _moving(static: JudgedInput, rng: np.random.Generator) -> JudgedInput:
-    """A window of part of the frame on a smooth random way, whole pixels a frame."""
+    """A window of part of the frame on a smooth random way, whole pixels per frame."""
     count, *sides = static.frames.shape
     size = np.array([int(side * _WINDOW) // 8 * 8 for side in sides])
     room = np.array(sides) - size
@@ -250,7 +250,7 @@ def judged_in_time(
 
 
 def wide(table: pd.DataFrame, *, resamples: int, seed: int) -> pd.DataFrame:
-    """A line a row, and of each kind of input the mean PSNR and SSIM over recordings.
+    """A line per row, and of each kind of input the mean PSNR and SSIM over recordings.
 
     Intervals of the PSNR draw recordings; one alone has none.
     """

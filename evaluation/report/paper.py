@@ -56,7 +56,7 @@ class PaperPlan:
         """One sentence for the tables."""
         source = "procedural places" if self.scenes is None else self.scenes.name
         pairs = f"{self.frames * (1 + self.quick)} pairs of {self.frames} frames at most ({source})"
-        text = f"{pairs}, {self.steps} steps a training"
+        text = f"{pairs}, {self.steps} steps per training"
         text += "" if self.real else ", without OldData"
         return f"Quick mode, no reproduction: {text}." if self.quick else f"{text}."
 

@@ -133,7 +133,7 @@ class ShownDataset:
     """All samples of a dataset, or the frames of one recording in the order of time.
 
     layers: names of the layers; the page compares the first two.
-    rate_hz: frames a second when played.
+    rate_hz: frames per second when played.
     """
 
     def __init__(self, folder: Path, recording: str = "") -> None:

@@ -70,7 +70,7 @@ def print_warning(text: str) -> None:
 class RunReporter:
     """Where a run reports what it finds and does; by default on stdout and stderr.
 
-    progress: called several times a second in place of the bar.
+    progress: called several times per second in place of the bar.
     """
 
     fact: Callable[[str], None] = print_fact

@@ -265,7 +265,7 @@ class PairDataset:
         return dict(counts)
 
     def meta(self) -> npt.NDArray[np.void]:
-        """The sample table, one row a sample in the order of the samples; text is bytes (UTF-8).
+        """The sample table, one row per sample in the order of the samples; text is bytes (UTF-8).
 
         Reads the tables of all shards, never their images.
         """

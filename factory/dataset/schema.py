@@ -33,7 +33,7 @@ DATASET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 # Every shard says whose sample a row is; a source adds its own columns to these.
 REQUIRED_COLUMNS = ("location", "scene", "frame", "variant")
 VALUE_RANGES: dict[str, tuple[float, float]] = {"uint8": (0, 255), "float32": (0.0, 1.0)}
-# A row a sample, a column a layer: CRC-32 of each image.
+# A row per sample, a column per layer: CRC-32 of each image.
 CHECKSUMS = "checksums"
 # Root attributes that are made of all the rest.
 SEALS = ("checksum", "text_checksum")

@@ -32,7 +32,7 @@ def write_animation(
 ) -> None:
     """Write frames, (H, W) or (H, W, 3) BGR; of PNG also uint16 of grey.
 
-    GIF holds 256 colours a frame: grey is exact, and colours become the nearest of 256.
+    GIF holds 256 colours per frame: grey is exact, and colours become the nearest of 256.
     suffix: .gif, .webp, .png or .apng.  Raises OSError, and FrameError where sizes differ.
     """
     writers = {".gif": _write_gif, ".webp": _write_webp, ".png": _write_png, ".apng": _write_png}

@@ -3,7 +3,7 @@
 Recorders number frames with or without leading zeros, stamp them with a clock or with seconds since
 1970, and write settings before or behind the number.  Names that differ in their numbers alone are
 looked at together: a time stamp orders them, or else the number that counts.  A recorder that makes
-several frames a second may number all but the first behind the stamp: `170431`, `170431_1`.
+several frames per second may number all but the first behind the stamp: `170431`, `170431_1`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Recordings of sonars: ARIS (`.aris`), DIDSON (`.ddf`, versions 3 and 4), Oculus (`.raw`, logs).
 
-Sound Metrics': a file header, then frames of one size, each a header and one byte a sample, row by
-row from the nearest.  Blueprint Subsea's Oculus: messages with a header of 16 bytes; a ping's goes
-on with its settings, a bearing a beam in hundredths of a degree, and the samples.  Messages of
-other kinds are passed over.  A log of ViewPoint (`.oculus`) has items, of which those of kind 10
+Sound Metrics': a file header, then frames of one size, each a header and one byte per sample, row
+by row from the nearest.  Blueprint Subsea's Oculus: messages with a header of 16 bytes; a ping's
+continues with its settings, a bearing per beam in hundredths of a degree, and the samples.
+Messages of other kinds are skipped.  A log of ViewPoint (`.oculus`) has items, of which those of kind 10
 hold a message each, plain or packed by zlib.  sonar_headers.csv names the documents.
 """
 

@@ -41,7 +41,7 @@ class VideoProperties:
     """What a copy of a video keeps.
 
     bits: of a sample as stored.  is_grey: whether its pixels can hold grey alone.
-    time_base_s: unit of its time stamps.  rate: mean frames a second.
+    time_base_s: unit of its time stamps.  rate: mean frames per second.
     start_s: stamp of its first frame.  pixel_aspect: width of a pixel by its height.
     texts: name -> text of the container's metadata, of `KEPT_TEXTS`.
     """
@@ -82,7 +82,7 @@ class VideoFile(Recording):
 
     Samples of more than 8 bits come as uint16 whose full scale is 65535, whatever their depth.
 
-    rate_hz: mean frames a second; None where the file does not say.
+    rate_hz: mean frames per second; None where the file does not say.
     """
 
     def _open(self) -> None:

@@ -36,7 +36,7 @@ def grey_of(frame: SonarFrame) -> Float32s:
 
 
 def polar_geometry(beams: Beams, ranges: int) -> FanGeometry:
-    """Geometry of the samples as they are: a row a range, a column a beam."""
+    """Geometry of the samples as they are: one row per range, one column per beam."""
     left, right = _edges_rad(beams)
     return FanGeometry(
         "polar",

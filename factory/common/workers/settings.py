@@ -56,8 +56,8 @@ class SchedulerSettings:
 
     backend: local (processes on this machine), serial (none; to debug), dask (a cluster).
     address: of a Dask scheduler, tcp://host:port; None starts a Dask cluster on this machine.
-    workers: number of worker processes; auto is one a core, as many as fit the memory, at most 48.
-    render_workers: how many of them render; auto is at most one a core and what fits the memory.
+    workers: number of worker processes; auto is one per core as memory allows, at most 48.
+    render_workers: how many of them render; auto is at most one per core and what fits the memory.
     shard_size: samples in a shard.  It decides which file a sample lies in.
     frame_timeout_s: a frame that takes longer is given up and its worker replaced.
     retries: how often a frame is tried again after its worker died or it took too long.

@@ -29,7 +29,7 @@ class TaskLost:
 class TaskPool:
     """Worker processes on this machine, started when there is work; leaving the `with` stops them.
 
-    workers: how many; auto is one a core.  1 works in this process, where a crash ends everything
+    workers: how many; auto is one per core.  1 works in this process, where a crash ends everything
         and time is not limited.
     """
 

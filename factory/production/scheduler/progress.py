@@ -58,7 +58,7 @@ class ProgressBar:
             self._draw()
 
     def show(self, shards: Sequence[tuple[object, int, int]]) -> None:
-        """Show how far it is; cheap enough to be called several times a second.
+        """Show how far it is; cheap enough to be called several times per second.
 
         shards: what each that is being made has told: (frame, samples, failed frames).
         """

@@ -57,7 +57,7 @@ ImageType = TypeVar("ImageType", bound=np.generic)
 _DRAWS = 40
 """Maximum attempts to draw a device that sees part of the frame."""
 _MOST_KEPT_FRAMES = 24
-"""Observed frames that may stay in memory: each takes 30 bytes a pixel of its camera image."""
+"""Observed frames that may stay in memory: each takes 30 bytes per pixel of its camera image."""
 
 
 @dataclass(frozen=True, eq=False)
