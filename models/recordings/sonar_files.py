@@ -3,8 +3,8 @@
 Sound Metrics': a file header, then frames of one size, each a header and one byte per sample, row
 by row from the nearest.  Blueprint Subsea's Oculus: messages with a header of 16 bytes; a ping's
 continues with its settings, a bearing per beam in hundredths of a degree, and the samples.
-Messages of other kinds are skipped.  A log of ViewPoint (`.oculus`) has items, of which those of kind 10
-hold a message each, plain or packed by zlib.  sonar_headers.csv names the documents.
+Messages of other kinds are skipped.  A log of ViewPoint (`.oculus`) has items, of which those of
+kind 10 hold a message each, plain or packed by zlib.  sonar_headers.csv names the documents.
 """
 
 from __future__ import annotations

@@ -70,10 +70,10 @@ def write_mcap(pairs: PairDataset, folder: Path) -> str:
     """SPLIT/SPLIT.mcap and its metadata.yaml, which `ros2 bag play SPLIT` takes.
 
     Topics: /sonar/noisy and /sonar/clean (ProjectedSonarImage: one row per range, one column per
-    beam; a fan is sampled at the device's ranges and beams), /sonar/noisy/image and /sonar/clean/image
-    (Image, as stored), /tf_static (where the axes of pings lie in the sonar), and /sonar/pose
-    (PoseStamped) and /tf where the dataset has `dataset.columns=[pose]` and its recordings have
-    poses.
+    beam; a fan is sampled at the device's ranges and beams), /sonar/noisy/image and
+    /sonar/clean/image (Image, as stored), /tf_static (where the axes of pings lie in the sonar),
+    and /sonar/pose (PoseStamped) and /tf where the dataset has `dataset.columns=[pose]` and its
+    recordings have poses.
     Raises FactoryError for a dataset whose device is not known.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
