@@ -24,6 +24,7 @@ from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
+from .fine_detail import with_fine_detail
 from .grain_width import grain_correlation
 from .images import block_means
 from .polar import Maps
@@ -109,6 +110,8 @@ class Denoiser:
             denoised = by_cells(shown, maps, self._denoise_whole)
         else:
             denoised = by_scales(shown, maps, self._denoise_whole, widest)
+        if frames is None and self.knows_frames:
+            denoised = with_fine_detail(shown, denoised)
         if bright:
             denoised = np.where(outside, grey, denoised)
         return presentation.undone(denoised)

@@ -255,7 +255,7 @@ def step_dual(
     weight: Float32s,
     push: np.float32,
 ) -> None:
-    """A step of fast gradient projection; see `strength.total_variation`.
+    """A step of fast gradient projection; see `total_variation`.
 
     across, down: the dual, with the momentum of the step before; they get that of this one.
     previous_across, previous_down: the dual before the step; they become the one behind it.

@@ -10,7 +10,6 @@ the frame count interpolates.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -18,6 +17,7 @@ import cv2
 import numpy as np
 
 from ....factory.common.array_types import Array, Bools, Float64s, UInt8s
+from ..total_variation import less_total_variation
 from .motion import blurred
 
 _TV_WEIGHT = 0.9
@@ -62,7 +62,8 @@ class Predictors:
         from . import kernels  # loads numba
 
         changes = np.empty((_PREDICTORS, *grey.shape), np.float32)
-        np.subtract(total_variation(grey, sigma), grey, out=changes[0])
+        weight = np.float32(_TV_WEIGHT) * sigma
+        np.subtract(less_total_variation(grey, weight, _TV_STEPS), grey, out=changes[0])
         np.subtract(network_output, grey, out=changes[1])
         for change, sigma_px in zip(changes[2:], _BLUR_SIGMAS_PX, strict=True):
             np.subtract(blurred(grey, sigma_px), grey, out=change)
@@ -216,28 +217,6 @@ class Strength:
             f"(measured on {parts.measured} frame{'s' * (parts.measured != 1)}"
             f"{few * (parts.measured < LEAST_MEASURED)})"
         )
-
-
-def total_variation(grey: Array, sigma: Array) -> Array:
-    """The image with less total variation, by how much noise is left in each pixel.
-
-    grey: (H, W).  sigma: (H, W) standard deviation of its noise.
-    Fast gradient projection of the dual (Beck and Teboulle 2009), isotropic.
-    """
-    from . import kernels  # loads numba
-
-    weight = np.maximum(np.float32(_TV_WEIGHT) * sigma, np.float32(1e-4))
-    image = np.empty_like(weight)
-    across, down, previous_across, previous_down = np.zeros((4, *grey.shape), np.float32)
-    momentum = 1.0
-    for _ in range(_TV_STEPS):
-        kernels.less_divergence(image, grey, across, down, weight)
-        next_momentum = (1 + math.sqrt(1 + 4 * momentum * momentum)) / 2
-        push = np.float32((momentum - 1) / next_momentum)
-        kernels.step_dual(across, down, previous_across, previous_down, image, weight, push)
-        momentum = next_momentum
-    kernels.less_divergence(image, grey, previous_across, previous_down, weight)
-    return image
 
 
 def _target(predictors: Predictors, outside: Array, same: Bools) -> Float64s:
