@@ -7,6 +7,7 @@ stream of small frames with copies and sizes that change.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,8 +28,13 @@ def measure(options: Options) -> Section:
     """CPU and wall seconds of a frame, the slowest one, and memory."""
     cv2.setNumThreads(1)
     rows = []
-    for label, frames in (("single frames", 1), ("in time, 7 frames", 7)):
-        rows.append((label, *_times(frames, options.amount(60, 12))))
+    cores = os.sched_getaffinity(0)
+    for used in ({min(cores)}, cores):
+        # A stream takes as many threads as cores that it may use when it is opened.
+        os.sched_setaffinity(0, used)
+        for name, frames in (("single frames", 1), ("in time, 7 frames", 7)):
+            label = f"{name}, {len(used)} core{'s' * (len(used) > 1)}"
+            rows.append((label, *_times(frames, options.amount(60, 12))))
     count = options.amount(FRAMES, 200)
     memory = _memory_mib(count)
     return Section(
