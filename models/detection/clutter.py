@@ -14,14 +14,17 @@ from .boxes import Boxes
 
 Generator = np.random.Generator
 
+_FAR_SHARE = 0.35  # of the echoes lie in the farthest third, before walls and behind objects
 _WALL_COVER = 0.1  # a wall covers at most this share of any object
 
 
 def add_clutter(image: Float32s, boxes: Boxes, rng: Generator) -> Float32s:
     """The image with a few unlabelled echoes, (H, W) in 0..1; none lies over most of an object."""
     layer = np.zeros(image.shape, np.float32)
+    far_part = layer[: layer.shape[0] // 3]
     for _ in range(int(rng.integers(0, 7))):
-        _DRAWS[int(rng.integers(len(_DRAWS)))](layer, rng)
+        part = far_part if rng.random() < _FAR_SHARE else layer
+        _DRAWS[int(rng.integers(len(_DRAWS)))](part, rng)
     if rng.random() < 0.3:
         height, width = image.shape
         wall = _wall(height, width, rng)

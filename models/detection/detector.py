@@ -33,7 +33,7 @@ from .images import (
 from .network import DIVISOR, STRIDE, DetectorNetwork, Outputs
 from .weights import TrainedDetector, load_detector
 
-_SIDES_PX = (80, 160, 288)
+_SIDES_PX = (112, 160, 288)
 """Longer sides at which an image is looked at: objects come in more sizes than a dataset has."""
 _USUAL_SIDE = 0.08  # of the longer side of the image: narrower detections count less
 _CUT_OFF = 0.6  # weight of detections at the far end of the range

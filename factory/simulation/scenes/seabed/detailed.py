@@ -188,13 +188,35 @@ def loose_chain(rng: Draws) -> Mesh:
     heading = 0.0
     for number in range(int(rng.integers(2, 5))):
         heading = number * np.pi + rng.normal(0, 0.35)
-        steps = int(rng.integers(8, 22))
+        steps = int(rng.integers(10, 34))
         wander = np.interp(np.arange(steps), np.linspace(0, steps, 5), rng.normal(0, 0.35, 5))
         headings.append(heading + wander)
     # Bends are as wide as a chain lets them be.
     turned = np.convolve(np.pad(np.concatenate(headings), 2, mode="edge"), np.ones(5) / 5, "valid")
     line = np.cumsum(0.05 * np.column_stack([np.cos(turned), np.sin(turned)]), axis=0)
     line = line - (line.min(axis=0) + line.max(axis=0)) / 2
+    level = np.full(len(line), 1.3 * wire)
+    return _linked(rng, np.column_stack([line, level]), wire).standing()
+
+
+def tailed_chain(rng: Draws) -> Mesh:
+    """A long heavy chain, doubled, whose end lies aside: a broad band with a tail."""
+    wire = float(rng.uniform(0.013, 0.028))
+    length = rng.uniform(0.7, 1.7)
+    apart = wire * rng.uniform(1.4, 3.5)
+    bend = rng.uniform(-0.25, 0.25) * length
+    count = int(length / 0.05)
+    points = []
+    for lane in range(int(rng.integers(1, 4))):
+        along = np.linspace(-0.5, 0.5, count) * (1 if lane % 2 else -1)
+        sway = np.interp(np.arange(count), np.linspace(0, count, 6), rng.normal(0, 1.2 * wire, 6))
+        across = lane * apart + 4 * bend * along**2 + sway
+        points.append(np.column_stack([along * length, across]))
+    middle = points[-1][int(rng.integers(count // 3, count))]
+    tail = curve(rng, np.zeros(2), rng.uniform(0.25, 0.6) * length, 0.8)
+    tail = tail - tail[0]
+    points.append(tail * np.where(rng.random() < 0.5, 1, -1) + middle)
+    line = np.concatenate(points)
     level = np.full(len(line), 1.3 * wire)
     return _linked(rng, np.column_stack([line, level]), wire).standing()
 
@@ -321,6 +343,28 @@ def lined_bottle(rng: Draws) -> Mesh:
     return join([*staves, *hoops]).tinted(glass).turned("z", rng.uniform(0, 6.3)).standing()
 
 
+def striped_bottle(rng: Draws) -> Mesh:
+    """A large bottle on its side as a few bars side by side, which lie on an arch.
+
+    Like `lined_bottle`, with lines farther apart: sound that went through the glass to and fro
+    arrives later, as if from lines behind the bottle.
+    """
+    length = rng.uniform(0.22, 0.42)
+    count = int(rng.integers(3, 7))
+    apart = rng.uniform(0.022, 0.045)
+    thick = rng.uniform(0.004, 0.01)
+    height = rng.uniform(0.03, 0.07)
+    bars_of_glass = []
+    for number in range(count):
+        y = (number - (count - 1) / 2) * apart
+        z = height * np.sin(np.pi * (number + 0.5) / count)
+        first = -length / 2 * rng.uniform(0.6, 1.0)
+        last = length / 2 * rng.uniform(0.6, 1.0)
+        bars_of_glass.append(tube(np.array([[first, y, z], [last, y, z]]), thick, 6))
+    whole = join(bars_of_glass).tinted(pick(rng, GLASS))
+    return whole.turned("z", rng.uniform(0, 6.3)).standing()
+
+
 def _hoop(x: float, radius: float, thick: float) -> Mesh:
     """A ring around the x axis."""
     ring = circle(20)[:, [2, 0, 1]] * radius
@@ -391,6 +435,25 @@ def tin(rng: Draws) -> Mesh:
     whole = lathe(profile, 30, pick(rng, (STEEL, STEEL, PAINTS[3], PAINTS[0])))
     lean = rng.choice([0.0, np.pi / 2, 0.35], p=[0.25, 0.6, 0.15])
     return whole.turned("y", lean + rng.uniform(-0.05, 0.05)).standing()
+
+
+def lined_tin(rng: Draws) -> Mesh:
+    """A tin on its side as hoops and staves: edges and ribs echo, and the plain wall hardly does.
+
+    A smooth wall throws sound away from the sonar, unless it faces it.
+    """
+    radius = rng.uniform(0.045, 0.1)
+    length = radius * rng.uniform(1.6, 2.8)
+    thick = radius * rng.uniform(0.06, 0.14)
+    levels = np.linspace(-length / 2, length / 2, int(rng.integers(2, 5)))
+    parts = [_hoop(x, radius, thick) for x in levels]
+    count = int(rng.integers(5, 11))
+    for outward in circle(count)[:, [2, 0, 1]] * radius:
+        ends = np.array([[-length / 2, 0, 0], [length / 2, 0, 0]]) + outward
+        parts.append(tube(ends, thick, 6))
+    whole = join(parts).tinted(pick(rng, (STEEL, PAINTS[3], PAINTS[0])))
+    turn = rng.choice([0.0, np.pi / 2, rng.uniform(0, 0.6)], p=[0.6, 0.2, 0.2])
+    return whole.turned("y", turn).standing()
 
 
 def drink_can(rng: Draws) -> Mesh:
@@ -564,16 +627,16 @@ def ball_valve(rng: Draws) -> Mesh:
 
 
 BUILDERS: dict[str, tuple[Builder, ...]] = {
-    "Bottle": (lying_bottle, lined_bottle, lined_bottle, flask),
+    "Bottle": (*[striped_bottle] * 4, lined_bottle, lined_bottle, lying_bottle, flask),
     "Standing-bottle": (upright_bottle, upright_bottle, upright_jar),
     "Shampoo-bottle": (shampoo, shampoo, shampoo, things.shampoo_bottle),
-    "Can": (tin, tin, drink_can, things.can),
+    "Can": (lined_tin, lined_tin, lined_tin, tin, tin, drink_can, things.can),
     "Drink-carton": (gable_carton, brick_carton),
     "Hook": (crane_hook, crane_hook, grapnel, snap_hook, things.hook),
     "Propeller": (screw, screw, screw, outboard),
     "Tire": (car_tyre, car_tyre, car_tyre, car_tyre, inner_tube),
     "Valve": (hand_wheel, cross_valve, crossed_bars, crossed_bars, ball_valve, things.valve),
-    "Chain": (*[loose_chain] * 5, laid_chain, doubled_chain, chain_heap),
+    "Chain": (*[tailed_chain] * 4, *[loose_chain] * 5, laid_chain, doubled_chain, chain_heap),
 }
 """Class -> its builders; a builder that is listed twice is drawn twice as often."""
 
