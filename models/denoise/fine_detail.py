@@ -12,7 +12,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ...factory.common.array_types import Array, Float32s
+from ...factory.common.array_types import Float32s
 from .total_variation import less_total_variation
 
 _DETAIL_SIGMA_PX = 2.0  # detail is what a Gaussian of this width removes
@@ -38,25 +38,28 @@ def with_fine_detail(grey: Float32s, denoised: Float32s) -> Float32s:
     detail_sigma = _local_sigma(detail)
     noise_sigma = np.maximum(_local_sigma(grey - denoised), _LEAST_NOISE)
     ratio = detail_sigma / noise_sigma
-    fineness = np.clip((ratio - _LEAST_RATIO) / (_HIGHEST_RATIO - _LEAST_RATIO), 0, 1)
+    fineness = np.asarray(
+        np.clip((ratio - _LEAST_RATIO) / (_HIGHEST_RATIO - _LEAST_RATIO), 0, 1), np.float32
+    )
     if not fineness.any():
         return denoised
-    weight = noise_sigma * (_STRONG + (_WEAK - _STRONG) * fineness)
+    weight = noise_sigma * (_STRONG + np.float32(_WEAK - _STRONG) * fineness)
     height, width = grey.shape
     smooth = less_total_variation(grey, _enlarged(weight, height, width), _STEPS)
-    share = _enlarged(_MOST_SHARE * fineness, height, width)
+    share = _enlarged(np.float32(_MOST_SHARE) * fineness, height, width)
     return np.asarray(denoised + share * (smooth - denoised), np.float32)
 
 
-def _local_sigma(plane: Array) -> Array:
+def _local_sigma(plane: Float32s) -> Float32s:
     """Root of the local mean square of a plane (H, W), for cells of `_CELL_PX` pixels."""
     height, width = plane.shape
     cells = max(1, width // _CELL_PX), max(1, height // _CELL_PX)
     mean_square = cv2.resize(plane * plane, cells, interpolation=cv2.INTER_AREA)
-    return np.sqrt(cv2.GaussianBlur(mean_square, (0, 0), _WINDOW_SIGMA_PX / _CELL_PX))
+    windowed = cv2.GaussianBlur(mean_square, (0, 0), _WINDOW_SIGMA_PX / _CELL_PX)
+    return np.asarray(np.sqrt(windowed), np.float32)
 
 
-def _enlarged(cells: Array, height: int, width: int) -> Float32s:
+def _enlarged(cells: Float32s, height: int, width: int) -> Float32s:
     """Values of cells at the pixels of an image of height x width."""
     size = width, height
     return np.asarray(cv2.resize(cells, size, interpolation=cv2.INTER_LINEAR), np.float32)
