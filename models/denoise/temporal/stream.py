@@ -227,8 +227,14 @@ class InTime:
                 denoised = self._pool.submit(self._restore, frame, weights, shot.levels)
                 self._pending.append((shot.key, denoised))
         self._next += 1
-        self._shots.pop(number - self._before - 1, None)
+        self._forget(number - self._before - 1)
         yield from self._finished(self._max_pending)
+
+    def _forget(self, number: int) -> None:
+        """Drop a frame that no window needs any more."""
+        self._shots.pop(number, None)
+        self._reduced.pop(number, None)
+        self._thumbnails.pop(number, None)
 
     def _finished(self, max_pending: int) -> Iterator[tuple[Any, Array]]:
         """Yield denoised frames, in order, until at most `max_pending` are being denoised."""
@@ -296,18 +302,12 @@ class InTime:
     def _small(self, number: int) -> Array:
         """A frame that is in memory, grey and reduced."""
         if number not in self._reduced:
-            self._reduced = {
-                kept: plane for kept, plane in self._reduced.items() if kept in self._shots
-            }
             self._reduced[number] = reduced(grey_of(self._shots[number].levels))
         return self._reduced[number]
 
     def _thumbnail(self, number: int) -> Array:
         """The thumbnail of a frame that is in memory."""
         if number not in self._thumbnails:
-            self._thumbnails = {
-                kept: plane for kept, plane in self._thumbnails.items() if kept in self._shots
-            }
             shape = self._shots[number].levels.shape
             self._thumbnails[number] = thumbnail_of(self._small(number), shape)
         return self._thumbnails[number]

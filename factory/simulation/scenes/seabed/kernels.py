@@ -378,7 +378,10 @@ def shade_pixels(solids: Any, camera: Any, look: Any, tile: Any, sun: Any) -> An
     (eye, axes, lens), (inverse, which) = camera
     palette, turf, water = look
     offset, texture = tile
-    absorption, open_water, sun_colour, sky_colour = water[0], water[1], water[2], water[3]
+    absorption = water[0]
+    open_water = water[1]
+    sun_colour = water[2]
+    sky_colour = water[3]
     height, width = which.shape
     colour = np.empty(((height + 1) // 2, (width + 1) // 2, 3), np.float32)
     for i in range(colour.shape[0]):
