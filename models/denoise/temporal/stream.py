@@ -336,7 +336,8 @@ class InTime:
     def _restore(self, frame: _FusedShot, predictor_weights: Weights, levels: Array) -> Array:
         """The denoised frame; around a fan and in saturated echoes it keeps its own levels."""
         denoised = self._denoise(frame, predictor_weights)
-        if self._network is not None:
+        # Simulated points pile up: there a clipped cell is noisy, too.
+        if self._is_frame_aware:
             denoised = with_saturated(denoised, levels)
         geometry = frame.geometry
         if not self._keeps_outside or geometry is None or geometry.layout == "polar":

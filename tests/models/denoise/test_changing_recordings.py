@@ -12,7 +12,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from simnfnd.factory.common.array_types import Array
+from simnfnd.factory.common.array_types import Array, Float32s
 from simnfnd.factory.common.ros_types import typestore
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.images import Denoising
@@ -339,23 +339,46 @@ def test_files_of_strength_0_are_the_input(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(recorded.samples, result.samples)
 
 
+class Dimming:
+    """A network that takes seven tenths of every level."""
+
+    def __init__(self, *, knows_frames: bool) -> None:
+        self.knows_frames = knows_frames
+
+    def __call__(self, grey: Float32s, _: object = None, **__: object) -> Float32s:
+        return grey * np.float32(0.3)
+
+
 @pytest.mark.parametrize("white", [255, 1023, 4095, 65535])
 def test_a_saturated_echo_keeps_its_level(white: int) -> None:
-    levels = static(1, count=1)[0] * 0.8
-    levels[30:50, 20:60] = 1
-    image = np.rint(levels * white).astype(np.uint8 if white == 255 else np.uint16)
-    denoising = Denoising(lambda grey, geometry=None: grey * 0.3)
+    image = saturated_square(white)
+    denoising = Denoising(Dimming(knows_frames=True))
     result = denoising.denoise_image(image, lambda _: None).image
     assert (result[30:50, 20:60] == white).all()
     np.testing.assert_allclose(result[52:], image[52:] * 0.3, atol=1)
+
+
+def test_clipped_cells_of_points_are_noisy_too() -> None:
+    """Weights for simulated points take what piles up there; those for recordings do not."""
+    image = saturated_square(255)
+    denoising = Denoising(Dimming(knows_frames=False))
+    result = denoising.denoise_image(image, lambda _: None).image
+    np.testing.assert_allclose(result, image * 0.3, atol=1)
 
 
 def test_darkness_is_not_saturated() -> None:
     """A few counts around black make flat squares by chance."""
     image = np.random.default_rng(0).integers(0, 2, (64, 64)).astype(np.uint8)
     image[20:40, 20:40] = 1
-    denoising = Denoising(lambda grey, geometry=None: grey * 0)
-    assert not denoising.denoise_image(image, lambda _: None).image.any()
+    denoising = Denoising(Dimming(knows_frames=True))
+    result = denoising.denoise_image(image, lambda _: None).image
+    np.testing.assert_allclose(result, image * 0.3, atol=1)
+
+
+def saturated_square(white: int) -> Array:
+    levels = static(1, count=1)[0] * 0.8
+    levels[30:50, 20:60] = 1
+    return np.rint(levels * white).astype(np.uint8 if white == 255 else np.uint16)
 
 
 # --- channels -------------------------------------------------------------------------------------
