@@ -44,8 +44,11 @@ def compile_loops() -> None:
     from simnfnd.factory.simulation.pairs.compilation import FIELD, IMAGE_LOOPS, LOOPS, SCENE_LOOPS
 
     root = Path(__file__).resolve().parents[1]
-    in_time = "simnfnd.models.denoise.temporal.kernels"
-    every = (*LOOPS, in_time)
+    of_models = (
+        "simnfnd.models.denoise.temporal.kernels",
+        "simnfnd.models.recordings.fans.kernels",
+    )
+    every = (*LOOPS, *of_models)
     paths = [root / f"{name.removeprefix('simnfnd.').replace('.', '/')}.py" for name in every]
     if all(
         any(
@@ -57,7 +60,7 @@ def compile_loops() -> None:
         return
     processes = [
         subprocess.Popen([sys.executable, "-c", "\n".join(f"import {name}" for name in names)])
-        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (FIELD, in_time))
+        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (FIELD, *of_models))
     ]
     for process in processes:
         process.wait()

@@ -2,7 +2,7 @@
 
 levels: grey values, and the largest that counts as black.  lit_area: the part of an image that may
 hold a fan.  first_guess: an outline to start from.  outline: the parameters that a fit varies.
-sector: the sector of an outline.  lit_pixels: counts of pixels in sectors.  likelihood: how well a
-sector explains the lit pixels.  fit: the likeliest sector.  confidence: the share of an outline
-that the image shows.  drawn_lines: fans bounded by white lines.
+sector: the sector of an outline.  lit_pixels: counts of pixels in a sector.  kernels: the loops of
+both, compiled.  likelihood: how well a sector explains the lit pixels.  fit: the likeliest sector.
+confidence: the share of an outline that the image shows.  drawn_lines: fans bounded by white lines.
 """

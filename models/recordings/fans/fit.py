@@ -42,8 +42,8 @@ def fit_sector(lit: Bools) -> Sector | None:
         outline = _fit_leading_parameters(likelihood, outline, [step_px] * len(_ALL_BUT_SQUEEZE))
 
     squeezed = _fit_squeeze(likelihood, outline)
-    squeezed_cost, square_cost = likelihood.smooth_costs([squeezed, outline])
-    if squeezed_cost < square_cost - _MIN_SQUEEZE_GAIN:
+    square_cost = likelihood.smooth_cost(outline)
+    if likelihood.smooth_cost(squeezed) < square_cost - _MIN_SQUEEZE_GAIN:
         outline = squeezed
     return _polish(likelihood, outline).to_sector(guess.anchors)
 
@@ -66,8 +66,7 @@ def _fit_leading_parameters(
     fixed = outline[free_count:]
 
     def cost(free: Float64s) -> float:
-        candidate = Outline(*free.tolist(), *fixed)
-        return float(likelihood.smooth_costs([candidate])[0])
+        return likelihood.smooth_cost(Outline(*free.tolist(), *fixed))
 
     corners = np.vstack([start, start + np.diag(first_steps)])
     best = find_lowest_point(cost, corners, _EVALUATIONS_PER_PARAMETER * free_count)
@@ -92,6 +91,7 @@ def _move_parameter(
     moves_px = np.linspace(-reach_px, reach_px, _MOVES)
     candidates = np.repeat(np.array(outline)[None], _MOVES, axis=0)
     candidates[:, parameter] += moves_px
-    costs = likelihood.whole_pixel_costs([Outline(*row) for row in candidates.tolist()])
+    outlines = [Outline(*row) for row in candidates.tolist()]
+    costs = np.array([likelihood.whole_pixel_cost(outline) for outline in outlines])
     is_best = costs <= costs.min() + _EQUAL_COST
     return Outline(*candidates[is_best].mean(axis=0).tolist())

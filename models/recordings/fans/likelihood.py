@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ....factory.common.array_types import Float64s
 from .lit_pixels import LitPixels, PixelCounts
 from .outline import AnchorRows, Outline
 from .sector import Sector
@@ -33,12 +31,10 @@ def estimate_probabilities(lit_pixels: LitPixels, sector: Sector) -> LitProbabil
 
     They are the estimates of greatest likelihood, within limits.
     """
-    counts = lit_pixels.count_fractional([sector])
-    area = float(counts.area[0])
-    lit = float(counts.lit[0])
-    area_outside = max(lit_pixels.pixel_count - area, 1.0)
-    lit_outside = lit_pixels.lit_count - lit
-    inside = float(np.clip(lit / max(area, 1.0), *_INSIDE_LIMITS))
+    counts = lit_pixels.count_fractional(sector)
+    area_outside = max(lit_pixels.pixel_count - counts.area, 1.0)
+    lit_outside = lit_pixels.lit_count - counts.lit
+    inside = float(np.clip(counts.lit / max(counts.area, 1.0), *_INSIDE_LIMITS))
     outside = float(np.clip(lit_outside / area_outside, *_OUTSIDE_LIMITS))
     return LitProbabilities(inside, outside) if inside > outside else None
 
@@ -72,32 +68,20 @@ class OutlineLikelihood:
         self._black_cost = math.log((1 - q) / (1 - p))
         self._column_step = max(1, lit_pixels.width // _MAX_FIT_COLUMNS)
 
-    def smooth_costs(self, outlines: Sequence[Outline]) -> Float64s:
-        """(N,) costs by parts of pixels, smooth for a fit; `INVALID_COST` without a sector."""
-        sectors = self._to_sectors(outlines)
-        counts = self._lit_pixels.count_fractional(_valid(sectors), self._column_step)
-        return self._costs(sectors, counts)
+    def smooth_cost(self, outline: Outline) -> float:
+        """Cost by parts of pixels, smooth for a fit; `INVALID_COST` without a sector."""
+        sector = outline.to_sector(self._anchors)
+        if sector is None:
+            return INVALID_COST
+        return self._cost(self._lit_pixels.count_fractional(sector, self._column_step))
 
-    def whole_pixel_costs(self, outlines: Sequence[Outline]) -> Float64s:
-        """(N,) costs by whole pixels, exact to a pixel; `INVALID_COST` without a sector."""
-        sectors = self._to_sectors(outlines)
-        counts = self._lit_pixels.count_whole(_valid(sectors), self._column_step)
-        return self._costs(sectors, counts)
+    def whole_pixel_cost(self, outline: Outline) -> float:
+        """Cost by whole pixels, exact to a pixel; `INVALID_COST` without a sector."""
+        sector = outline.to_sector(self._anchors)
+        if sector is None:
+            return INVALID_COST
+        return self._cost(self._lit_pixels.count_whole(sector, self._column_step))
 
-    def _to_sectors(self, outlines: Sequence[Outline]) -> list[Sector | None]:
-        return [outline.to_sector(self._anchors) for outline in outlines]
-
-    def _costs(self, sectors: Sequence[Sector | None], counts: PixelCounts) -> Float64s:
-        """Costs of the sectors.
-
-        counts: of the sectors that are not None, in their order.
-        """
-        costs = np.full(len(sectors), INVALID_COST)
-        is_valid = [sector is not None for sector in sectors]
-        sampled_costs = self._black_cost * counts.black - self._lit_gain * counts.lit
-        costs[is_valid] = sampled_costs * self._column_step
-        return costs
-
-
-def _valid(sectors: Sequence[Sector | None]) -> list[Sector]:
-    return [sector for sector in sectors if sector is not None]
+    def _cost(self, counts: PixelCounts) -> float:
+        sampled_cost = self._black_cost * counts.black - self._lit_gain * counts.lit
+        return sampled_cost * self._column_step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 
 import numpy as np
@@ -44,19 +45,21 @@ class _Simplex:
         self._shrinkage = 1 - 1 / size
         self.evaluations = 0
         self.corners = corners
-        self.costs = np.array([self._evaluate(corner) for corner in corners])
+        self.costs = [self._evaluate(corner) for corner in corners]
         self._sort()
 
     @property
     def has_converged(self) -> bool:
         """Whether all corners are close to the best one and cost about as much."""
-        spread = self.costs[-1] - self.costs[0]
+        if self.costs[-1] - self.costs[0] > _CONVERGED_COST:
+            return False
         distance = np.abs(self.corners[1:] - self.corners[0]).max()
-        return bool(spread <= _CONVERGED_COST and distance <= _CONVERGED_DISTANCE)
+        return bool(distance <= _CONVERGED_DISTANCE)
 
     def step(self, max_evaluations: int) -> bool:
         """Move the worst corner, or all but the best; False where no evaluations are left."""
-        reflected = self._opposite(1.0)
+        middle = np.add.reduce(self.corners[:-1]) / self._size
+        reflected = self._opposite(middle, 1.0)
         reflected_cost = self._evaluate(reflected)
         if self.costs[0] <= reflected_cost < self.costs[-2]:
             self._replace_worst(reflected, reflected_cost)
@@ -65,7 +68,7 @@ class _Simplex:
             return False
 
         if reflected_cost < self.costs[0]:
-            expanded = self._opposite(self._expansion)
+            expanded = self._opposite(middle, self._expansion)
             expanded_cost = self._evaluate(expanded)
             if expanded_cost < reflected_cost:
                 self._replace_worst(expanded, expanded_cost)
@@ -75,7 +78,8 @@ class _Simplex:
 
         # Outside where reflecting gained something, else between the worst corner and the others.
         is_outside = reflected_cost < self.costs[-1]
-        contracted = self._opposite(self._contraction if is_outside else -self._contraction)
+        share = self._contraction if is_outside else -self._contraction
+        contracted = self._opposite(middle, share)
         contracted_cost = self._evaluate(contracted)
         if contracted_cost <= reflected_cost and contracted_cost < self.costs[-1]:
             self._replace_worst(contracted, contracted_cost)
@@ -83,13 +87,12 @@ class _Simplex:
             self._shrink()
         return True
 
-    def _opposite(self, share: float) -> Float64s:
+    def _opposite(self, middle: Float64s, share: float) -> Float64s:
         """The worst corner, moved along the line through the middle of the others.
 
         share: how far beyond the middle, as a part of its distance from there; negative: short of
         the middle.
         """
-        middle = np.add.reduce(self.corners[:-1]) / self._size
         return np.asarray((1 + share) * middle - share * self.corners[-1])
 
     def _evaluate(self, corner: Float64s) -> float:
@@ -97,9 +100,12 @@ class _Simplex:
         return self._cost(corner)
 
     def _replace_worst(self, corner: Float64s, cost: float) -> None:
-        self.corners[-1] = corner
-        self.costs[-1] = cost
-        self._sort()
+        """Put a corner in its place, behind those of equal cost; the worst one drops out."""
+        place = bisect_right(self.costs, cost, hi=self._size)
+        self.costs.insert(place, cost)
+        self.costs.pop()
+        self.corners[place + 1 :] = self.corners[place:-1]
+        self.corners[place] = corner
 
     def _shrink(self) -> None:
         """Move all corners towards the best."""
@@ -111,4 +117,4 @@ class _Simplex:
     def _sort(self) -> None:
         by_cost = np.argsort(self.costs, kind="stable")
         self.corners = self.corners[by_cost]
-        self.costs = self.costs[by_cost]
+        self.costs = [self.costs[index] for index in by_cost]
