@@ -15,9 +15,9 @@ import numpy as np
 
 from ...factory.common.array_types import Float32s
 
-_LEAST_SCALE = 0.45
+_LEAST_SCALE = 0.4
 _MOST_SCALE = 1.6
-_SCALED_SHARE = 0.3  # of the displays; each line below counts by itself
+_SCALED_SHARE = 0.5  # of the displays; each line below counts by itself
 _BAND_SHARE = 0.45
 _SLOPE_SHARE = 0.3
 _GLARE_SHARE = 0.15

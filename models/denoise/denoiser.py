@@ -24,9 +24,9 @@ from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks import averaged
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
-from .fine_detail import with_fine_detail
 from .grain_width import grain_correlation
 from .images import block_means
+from .left_detail import corrected_by_detail
 from .polar import Maps
 from .runtime import open_runtime
 from .wide_cells import by_cells
@@ -111,7 +111,7 @@ class Denoiser:
         else:
             denoised = by_scales(shown, maps, self._denoise_whole, widest)
         if frames is None and self.knows_frames:
-            denoised = with_fine_detail(shown, denoised)
+            denoised = corrected_by_detail(shown, denoised)
         if bright:
             denoised = np.where(outside, grey, denoised)
         return presentation.undone(denoised)

@@ -27,7 +27,12 @@ _RECIPE_GROUPS = ("model.", "loss.", "data.", "train.")
 # Known by their content alone, or chosen by the device.
 _NO_SETTINGS = ("data.recordings", "train.precision", "train.teacher")
 # Settings that weights which ship are older than, by the value that changes nothing.
-_ADDED_LATER = {"model.average_cells": False, "model.even_level": False, "data.displays": 0.0}
+_ADDED_LATER = {
+    "model.average_cells": False,
+    "model.even_level": False,
+    "data.displays": 0.0,
+    "loss.ssim": 0.0,
+}
 
 _CARD = """---
 license: apache-2.0

@@ -131,9 +131,9 @@ def frame_image(path: Path, number: int) -> tuple[Float32s, FanGeometry | None]:
 
 _SHARE = 99.5  # percentile of the pixels that are not zero
 # Bright pixels below the first make an image dark; below the second they come to the last.
-_DARK = 0.25
-_DARKER = 0.125
-_WANTED = 0.5
+_DARK = 0.5
+_DARKER = 0.25
+_WANTED = 1.0
 
 
 @dataclass(frozen=True)

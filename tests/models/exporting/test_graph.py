@@ -107,7 +107,7 @@ def test_the_example_denoises_as_the_command_does(
 
     But for the fine detail that the command keeps, which is no part of the network.
     """
-    monkeypatch.setattr(denoiser, "with_fine_detail", lambda _, denoised: denoised)
+    monkeypatch.setattr(denoiser, "corrected_by_detail", lambda _, denoised: denoised)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
     cv2.imwrite("image.png", fan(preset("aris_1800_lf", 128, 160), 0.3, holes=False)[0])

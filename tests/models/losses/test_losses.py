@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from simnfnd.factory.common.settings import build
+from simnfnd.factory.dataset.quality import ssim
 from simnfnd.models.training.losses import Loss
 
 NEW = {"kind": "newloss", "shadow": "literal", "weight": 1.0, "threshold": 0.1}
@@ -42,6 +43,17 @@ def test_the_squared_difference_is_added_to_any(kind: dict[str, Any]) -> None:
     a, b = image(0.0, 0.5), image(0.3, 0.5)
     more = build_loss({**kind, "square": 2.0})(a, b, {}) - build_loss(kind)(a, b, {})
     assert more.item() == pytest.approx(2 * 0.09 / 2)
+
+
+def test_the_structural_similarity_is_that_of_the_reports() -> None:
+    """But for its windows, every second one."""
+    source = torch.Generator().manual_seed(0)
+    clean = torch.rand(1, 1, 96, 80, generator=source)
+    prediction = (clean + 0.2 * torch.rand(clean.shape, generator=source)).clamp(0, 1)
+    more = build_loss({"kind": "l1", "ssim": 2.0})(prediction, clean, {})
+    less = build_loss({"kind": "l1"})(prediction, clean, {})
+    measured = ssim(clean[0, 0].numpy(), prediction[0, 0].numpy())
+    assert (more - less).item() == pytest.approx(2 * (1 - measured), rel=0.05)
 
 
 @settings(max_examples=40, deadline=None)
