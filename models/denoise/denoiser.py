@@ -84,10 +84,12 @@ class Denoiser:
 
         geometry: where range and bearing are, if that is known.  frames: how many were averaged in
         the image, 1 or more, or (H, W) float32 of how many in each pixel: one over the sum of the
-        squared weights, where these add up to 1; None: a single frame.
+        squared weights, where these add up to 1; None, or 1 everywhere: a single frame.
         The weights get the image by its `presentation_of`, and where their model says so, one of
         wide grain `by_scales` and one of wide cells `by_cells`.
         """
+        if frames is not None and np.max(frames) <= 1:
+            frames = None
         presentation = presentation_of(grey, geometry)
         shape = grey.shape
         grey = presentation.shown(grey)

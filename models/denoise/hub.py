@@ -17,7 +17,8 @@ class HubDenoiser(nn.Module):
     """Denoises a batch of images, each alone, on the device that the module is on.
 
     It can be differentiated and trained further.  What surrounds the network in `simnfnd denoise`
-    (tiles of large images, wide grain at half its size, dark images, time) is left out.
+    (tiles of large images, wide grain at half its size, dark images, left detail, time) is left
+    out.
     """
 
     def __init__(self, weights: str | Path | None = None) -> None:

@@ -378,7 +378,8 @@ def test_darkness_is_not_saturated() -> None:
 def saturated_square(white: int) -> Array:
     levels = static(1, count=1)[0] * 0.8
     levels[30:50, 20:60] = 1
-    return np.rint(levels * white).astype(np.uint8 if white == 255 else np.uint16)
+    image: Array = np.rint(levels * white).astype(np.uint8 if white == 255 else np.uint16)
+    return image
 
 
 # --- channels -------------------------------------------------------------------------------------
