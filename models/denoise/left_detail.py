@@ -68,6 +68,7 @@ def _measured(grey: Float32s, denoised: Float32s) -> _Left:
 def _without_residue(denoised: Float32s, left: _Left) -> Float32s:
     """Less total variation where the detail is no more than noise leaves."""
     emptiness = _ramp(left.ratio, _GROUND_RATIO, _RESIDUE_RATIO)
+    emptiness[left.noise_sigma <= _LEAST_NOISE] = 0
     if not emptiness.any():
         return denoised
     weight = np.float32(_SLIGHT) * left.noise_sigma * emptiness

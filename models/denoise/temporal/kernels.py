@@ -262,23 +262,31 @@ def step_dual(
     image: of the dual.
     """
     height, width = image.shape
+    rights = np.empty(width, np.float32)
+    lowers = np.empty(width, np.float32)
+    # Short loops without branches: a compiler makes vectors of them.
     for row in range(height):
-        last = row == height - 1
+        below = min(row + 1, height - 1)
+        for column in range(width - 1):
+            slope = image[row, column + 1] - image[row, column]
+            rights[column] = across[row, column] + slope * (_EIGHTH / weight[row, column])
+        rights[width - 1] = across[row, width - 1]
         for column in range(width):
-            level = image[row, column]
-            step = _EIGHTH / weight[row, column]
-            right = across[row, column]
-            if column < width - 1:
-                right += (image[row, column + 1] - level) * step
-            lower = down[row, column]
-            if not last:
-                lower += (image[row + 1, column] - level) * step
+            slope = image[below, column] - image[row, column]
+            lowers[column] = down[row, column] + slope * (_EIGHTH / weight[row, column])
+        for column in range(width):
+            right = rights[column]
+            lower = lowers[column]
             length = max(np.sqrt(right * right + lower * lower), _ONE)
-            right /= length
-            lower /= length
+            rights[column] = right / length
+            lowers[column] = lower / length
+        for column in range(width):
+            right = rights[column]
             across[row, column] = right + push * (right - previous_across[row, column])
-            down[row, column] = lower + push * (lower - previous_down[row, column])
             previous_across[row, column] = right
+        for column in range(width):
+            lower = lowers[column]
+            down[row, column] = lower + push * (lower - previous_down[row, column])
             previous_down[row, column] = lower
 
 
