@@ -34,8 +34,8 @@ def test_an_echo_in_open_water_stays() -> None:
     noisy = textured(0, 0.1)
     denoised = np.float32(0.4) + np.float32(0.15) * (noisy - np.float32(0.4))
     denoised[30:34, 30:34] += np.float32(0.2)  # two standard deviations
-    kept = corrected_by_detail(noisy, denoised)
-    assert kept[30:34, 30:34].mean() > 0.4 + 0.85 * 0.2
+    corrected = corrected_by_detail(noisy, denoised)
+    assert corrected[30:34, 30:34].mean() > 0.4 + 0.85 * 0.2
 
 
 def test_edges_closer_than_the_network_knows_are_kept_in_part() -> None:
@@ -43,8 +43,8 @@ def test_edges_closer_than_the_network_knows_are_kept_in_part() -> None:
     ground = np.kron(stones, np.ones((4, 4))).astype(np.float32)
     noisy = ground + (textured(3, 0.03) - np.float32(0.4))
     denoised = np.asarray(cv2.GaussianBlur(noisy, (0, 0), 1.0), np.float32)
-    kept = corrected_by_detail(noisy, denoised)
-    assert np.square(kept - ground).mean() < 0.8 * np.square(denoised - ground).mean()
+    corrected = corrected_by_detail(noisy, denoised)
+    assert np.square(corrected - ground).mean() < 0.8 * np.square(denoised - ground).mean()
 
 
 def test_an_image_that_the_network_leaves_stays_as_it_is() -> None:
@@ -55,6 +55,6 @@ def test_an_image_that_the_network_leaves_stays_as_it_is() -> None:
 def test_a_gain_changes_nothing_else() -> None:
     noisy = textured(5, 0.05)
     denoised = np.float32(0.4) + np.float32(0.5) * (noisy - np.float32(0.4))
-    kept = corrected_by_detail(noisy, denoised)
+    corrected = corrected_by_detail(noisy, denoised)
     halved = corrected_by_detail(noisy / 2, denoised / 2)
-    np.testing.assert_allclose(2 * halved, kept, atol=1e-5)
+    np.testing.assert_allclose(2 * halved, corrected, atol=1e-5)
