@@ -17,6 +17,9 @@ PSNR_CAP_DB = 100.0
 
 SIGMA_PX = 1.5
 RADIUS_PX = 5
+LUMINANCE_FLOOR = 0.01
+CONTRAST_FLOOR = 0.03
+"""K1 and K2 of the structural similarity (Wang et al. 2004), as parts of full scale."""
 """Radius of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
 
 
@@ -138,8 +141,8 @@ class SsimReference:
 
     def __init__(self, image: Float64s, data_range: float) -> None:
         self.image = image
-        self._c1 = (0.01 * data_range) ** 2
-        self._c2 = (0.03 * data_range) ** 2
+        self._c1 = (LUMINANCE_FLOOR * data_range) ** 2
+        self._c2 = (CONTRAST_FLOOR * data_range) ** 2
         self._mean = window(image)
         self._mean_squared = self._mean * self._mean
         self._variance = window(image * image) - self._mean_squared

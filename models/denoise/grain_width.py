@@ -7,6 +7,8 @@ quartile counts.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
@@ -36,12 +38,20 @@ def grain_correlation(grey: Float32s) -> float:
     if np.count_nonzero(is_usable) < 2:
         return 0.0
 
+    covariance = neighbour_covariance(grain, _block_means)
+    return float(np.quantile(covariance[is_usable] / power[is_usable], _QUANTILE))
+
+
+def neighbour_covariance(grain: Float32s, local_mean: Callable[[Float32s], Float32s]) -> Float32s:
+    """Covariance of pixels that are neighbours along rows or columns, the lesser.
+
+    grain: (H, W), of mean 0.  local_mean: of a plane (H, W), in the shape that comes back.
+    """
     down = np.zeros_like(grain)
     down[1:] = grain[1:] * grain[:-1]
     across = np.zeros_like(grain)
     across[:, 1:] = grain[:, 1:] * grain[:, :-1]
-    lesser = np.minimum(_block_means(down), _block_means(across))
-    return float(np.quantile(lesser[is_usable] / power[is_usable], _QUANTILE))
+    return np.minimum(local_mean(down), local_mean(across))
 
 
 def _block_means(plane: Float32s) -> Float32s:

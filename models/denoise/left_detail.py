@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from ...factory.common.array_types import Float32s
+from .grain_width import neighbour_covariance
 from .total_variation import less_total_variation
 
 _DETAIL_SIGMA_PX = 2.0  # detail is what a Gaussian of this width removes
@@ -58,14 +59,14 @@ class _Left(NamedTuple):
     """Detail that a network left and noise that it removed, for cells of `_CELL_PX` pixels.
 
     noise_sigma: grey values.  ratio: of the standard deviations of detail and noise.
-    white_share: of saturated pixels.  grain_correlation: of neighbouring pixels of the noise, the
+    white_share: of saturated pixels.  noise_correlation: of neighbouring pixels of the noise, the
     lesser of rows and columns, median of the cells with noise.
     """
 
     noise_sigma: Float32s
     ratio: Float32s
     white_share: Float32s
-    grain_correlation: float
+    noise_correlation: float
 
 
 def corrected_by_detail(grey: Float32s, denoised: Float32s) -> Float32s:
@@ -84,20 +85,16 @@ def _measured(grey: Float32s, denoised: Float32s) -> _Left:
     noise_sigma = np.maximum(_local_sigma(noise), _LEAST_NOISE)
     ratio = _local_sigma(detail) / noise_sigma
     white_share = _local_mean((grey > _WHITE).astype(np.float32))
-    return _Left(noise_sigma, ratio, white_share, _grain_correlation(noise, noise_sigma))
+    return _Left(noise_sigma, ratio, white_share, _noise_correlation(noise, noise_sigma))
 
 
-def _grain_correlation(noise: Float32s, noise_sigma: Float32s) -> float:
+def _noise_correlation(noise: Float32s, noise_sigma: Float32s) -> float:
     """See `_Left`; 0 where there is no noise."""
     is_noisy = noise_sigma > _COUNTED_NOISE
     if not is_noisy.any():
         return 0.0
-    down = np.zeros_like(noise)
-    np.multiply(noise[1:], noise[:-1], out=down[1:])
-    across = np.zeros_like(noise)
-    np.multiply(noise[:, 1:], noise[:, :-1], out=across[:, 1:])
-    lesser = np.minimum(_local_mean(down), _local_mean(across))
-    return float(np.median(lesser[is_noisy] / np.square(noise_sigma[is_noisy])))
+    covariance = neighbour_covariance(noise, _local_mean)
+    return float(np.median(covariance[is_noisy] / np.square(noise_sigma[is_noisy])))
 
 
 def _without_residue(denoised: Float32s, left: _Left) -> Float32s:
@@ -117,16 +114,16 @@ def _with_ground(grey: Float32s, denoised: Float32s, left: _Left) -> Float32s:
     if not ground.any():
         return denoised
     correlations = (_SEPARATE_GRAIN, _WIDE_GRAIN)
-    of_grain = np.float32(np.interp(left.grain_correlation, correlations, (_WEAK, _STRONG)))
-    weight = left.noise_sigma * (of_grain + whiteness * (_BESIDE_WHITE - of_grain))
+    strength = np.float32(np.interp(left.noise_correlation, correlations, (_WEAK, _STRONG)))
+    weight = left.noise_sigma * (strength + whiteness * (_BESIDE_WHITE - strength))
     smooth = less_total_variation(grey, _enlarged(weight, *grey.shape), _STEPS)
     share = _enlarged(np.float32(_MOST_SHARE) * ground, *grey.shape)
     return np.asarray(denoised + share * (smooth - denoised), np.float32)
 
 
-def _ramp(ratio: Float32s, nothing: float, whole: float) -> Float32s:
-    """0 at the ratio `nothing` and before, 1 at `whole` and beyond."""
-    return np.asarray(np.clip((ratio - nothing) / (whole - nothing), 0, 1), np.float32)
+def _ramp(values: Float32s, nothing: float, whole: float) -> Float32s:
+    """0 at the value `nothing` and before, 1 at `whole` and beyond."""
+    return np.asarray(np.clip((values - nothing) / (whole - nothing), 0, 1), np.float32)
 
 
 def _local_sigma(plane: Float32s) -> Float32s:

@@ -9,6 +9,7 @@ import numpy as np
 from ...factory.common.array_types import Array, Float32s
 
 _LEAST_WEIGHT = np.float32(1e-4)
+_EIGHTH = np.float32(0.125)  # over the weight: the longest step with which the dual converges
 
 
 def less_total_variation(grey: Array, weight: Array, steps: int) -> Float32s:
@@ -20,6 +21,7 @@ def less_total_variation(grey: Array, weight: Array, steps: int) -> Float32s:
     from .temporal import kernels  # loads numba
 
     weight = np.maximum(weight, _LEAST_WEIGHT)
+    step = _EIGHTH / weight
     image = np.empty_like(weight)
     across, down, previous_across, previous_down = np.zeros((4, *grey.shape), np.float32)
     momentum = 1.0
@@ -27,7 +29,7 @@ def less_total_variation(grey: Array, weight: Array, steps: int) -> Float32s:
         kernels.less_divergence(image, grey, across, down, weight)
         next_momentum = (1 + math.sqrt(1 + 4 * momentum * momentum)) / 2
         push = np.float32((momentum - 1) / next_momentum)
-        kernels.step_dual(across, down, previous_across, previous_down, image, weight, push)
+        kernels.step_dual(across, down, previous_across, previous_down, image, step, push)
         momentum = next_momentum
     kernels.less_divergence(image, grey, previous_across, previous_down, weight)
     return image

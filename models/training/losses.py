@@ -13,13 +13,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...factory.common.settings import STRICT
+from ...factory.dataset.quality import CONTRAST_FLOOR, LUMINANCE_FLOOR, RADIUS_PX, SIGMA_PX
 
 NotNegative = Annotated[float, Field(ge=0)]
 _PSNR_FLOOR = 1e-4  # added to the mean squares in `decibels`: below it, 40 dB, gains count little
-_SSIM_WINDOW_PX = 11
-_SSIM_SIGMA_PX = 1.5
-_SSIM_C1 = 0.01**2  # Wang et al. 2004, of grey values in 0..1
-_SSIM_C2 = 0.03**2
+_SSIM_WINDOW_PX = 2 * RADIUS_PX + 1
+_SSIM_C1 = LUMINANCE_FLOOR**2
+_SSIM_C2 = CONTRAST_FLOOR**2
 _EQUAL = 1e-10  # mean squared difference of images that count as equal: 100 dB
 _NOTHING = 0.3  # factor on a change up to which the change is left out
 _WHOLE = 0.8  # factor on a change from which the change is made whole
@@ -121,8 +121,8 @@ def _gaussian_mean(images: Tensor) -> Tensor:
 @lru_cache
 def _gaussian_matrix(size: int) -> Tensor:
     """(windows, size) float32: row i holds the window that begins at sample 2 i."""
-    offsets = torch.arange(_SSIM_WINDOW_PX) - _SSIM_WINDOW_PX // 2
-    gaussian = torch.exp(-0.5 * (offsets / _SSIM_SIGMA_PX).square())
+    offsets = torch.arange(-RADIUS_PX, RADIUS_PX + 1)
+    gaussian = torch.exp(-0.5 * (offsets / SIGMA_PX).square())
     window = gaussian / gaussian.sum()
     first_samples = range(0, size - _SSIM_WINDOW_PX + 1, 2)
     matrix = torch.zeros(len(first_samples), size)

@@ -17,7 +17,6 @@ _PLANE = "Array(float32, 2, 'C', readonly=True)"
 _RESULT = "float32[:, ::1]"
 _ZERO = np.float32(0)
 _ONE = np.float32(1)
-_EIGHTH = np.float32(0.125)
 
 
 @compiled(f"Tuple(({_RESULT}, {_RESULT}))({_PLANE}, {_PLANE}, {_PLANE}, float32)")
@@ -252,14 +251,14 @@ def step_dual(
     previous_across: Float32s,
     previous_down: Float32s,
     image: Float32s,
-    weight: Float32s,
+    step: Float32s,
     push: np.float32,
 ) -> None:
     """A step of fast gradient projection; see `total_variation`.
 
     across, down: the dual, with the momentum of the step before; they get that of this one.
     previous_across, previous_down: the dual before the step; they become the one behind it.
-    image: of the dual.
+    image: of the dual.  step: how far the dual follows the slope of the image, of each pixel.
     """
     height, width = image.shape
     rights = np.empty(width, np.float32)
@@ -269,11 +268,11 @@ def step_dual(
         below = min(row + 1, height - 1)
         for column in range(width - 1):
             slope = image[row, column + 1] - image[row, column]
-            rights[column] = across[row, column] + slope * (_EIGHTH / weight[row, column])
+            rights[column] = across[row, column] + slope * step[row, column]
         rights[width - 1] = across[row, width - 1]
         for column in range(width):
             slope = image[below, column] - image[row, column]
-            lowers[column] = down[row, column] + slope * (_EIGHTH / weight[row, column])
+            lowers[column] = down[row, column] + slope * step[row, column]
         for column in range(width):
             right = rights[column]
             lower = lowers[column]
