@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 from omegaconf import DictConfig, OmegaConf
 
 from ..factory.common.errors import FactoryError
+from ..factory.common.extras import Need, require
 from ..factory.common.settings import build
 from ..factory.common.words import quote
 from ..factory.dataset.storage import local_folder
 from ..factory.production.cli import run_app
-from ..factory.production.cli.extras import Need, require
 from ..models import WEIGHTS_NAME
 
 if TYPE_CHECKING:

@@ -186,7 +186,7 @@ def _loaded_denoiser(
     weights: str | Path | None, device: str, strength: float, frames: int
 ) -> Denoiser:
     """The network, its parameters checked.  Raises what `denoise` raises."""
-    from .factory.production.cli.extras import Need, require
+    from .factory.common.extras import Need, require
 
     needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)

@@ -117,8 +117,9 @@ def make_pair(
     usable depth or the sonar would see nothing of it, and FactoryError for wrong words and modules
     that are not installed.
     """
+    from .factory.common.extras import require
     from .factory.dataset.frame_ref import FrameRef
-    from .factory.production.cli.extras import needs_of, require
+    from .factory.simulation.config.needs import needs_of
     from .factory.simulation.config.renderer_choice import renderer_of
     from .factory.simulation.frames.frame import Intrinsics
     from .factory.simulation.frames.memory_frame import frame_from_arrays

@@ -14,7 +14,7 @@ class Verb(NamedTuple):
     group, line: where and how `simnfnd --help` lists it.
     target: "module:function"; the function gets the other words and may return an exit code.
     examples: commands that `simnfnd VERB --help` begins with.
-    needs: modules without which it can do nothing, each of an extra (`production.cli.extras`).
+    needs: modules without which it can do nothing, each of an extra (`common.extras`).
     hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
     """
 

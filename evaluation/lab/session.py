@@ -9,11 +9,12 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from ...factory.common.errors import FactoryError, NotRendered
+from ...factory.common.extras import require
 from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.schema import Pair
 from ...factory.production.cli.compose import compose
-from ...factory.production.cli.extras import needs_of, require
 from ...factory.simulation.config.key_effects import reason_without_effect
+from ...factory.simulation.config.needs import needs_of
 from ...factory.simulation.config.root import FactoryConfig, from_mapping
 from ...factory.simulation.config.selection import choose_frames
 from ...factory.simulation.pairs.compilation import compile_needed

@@ -17,6 +17,7 @@ from torch.utils.data import IterableDataset
 
 from ...factory.common.array_types import Array, Int64s
 from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.extras import require
 from ...factory.common.seeds import stream
 from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.pair_dataset import in_unit_range, is_grey
@@ -24,8 +25,8 @@ from ...factory.dataset.schema import CORE, EFFECT_FOLDER, Pair
 from ...factory.dataset.schema import layers as known_layers
 from ...factory.dataset.shares import loader_share
 from ...factory.production.cli.compose import compose_config
-from ...factory.production.cli.extras import needs_of, require
 from ...factory.production.cli.stored import stored_config
+from ...factory.simulation.config.needs import needs_of
 from ...factory.simulation.config.root import FactoryConfig
 from ...factory.simulation.config.selection import choose_frames, split_frames
 from ...factory.simulation.pairs.pair_maker import PairMaker, frames_worth_keeping, pair_maker

@@ -17,8 +17,8 @@ import numpy as np
 
 from ...factory.common.array_types import Array, Bools, Float32s, Int64s
 from ...factory.common.errors import FactoryError
+from ...factory.common.extras import Need, require
 from ...factory.common.workers.machine import usable_cores
-from ...factory.production.cli.extras import Need, require
 from ..networks import DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped

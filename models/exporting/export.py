@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...factory.common.errors import FactoryError
+from ...factory.common.extras import Need, require
 from ...factory.common.files import check_writable, sha256_of, write_atomically
 from ...factory.production.cli import Parser
-from ...factory.production.cli.extras import Need, require
 from ..pretrained import find_weights
 from ..pretrained.card import CardFile, write_card
 

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from ...factory.common.errors import FactoryError
-from ...factory.production.cli.extras import Need, require
+from ...factory.common.extras import Need, require
 from .. import WEIGHTS_NAME
 
 DEFAULT = "simnfnd"

@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 
 from ...factory.common.errors import FactoryError
-from ...factory.production.cli.extras import Need, require
+from ...factory.common.extras import Need, require
 from .base import (
     ANIMATED_SUFFIXES,
     ARRAY_SUFFIXES,

@@ -24,9 +24,9 @@ import numpy as np
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.extras import Need, require
 from ...factory.common.files import temporary_folder
 from ...factory.common.ros_types import SONAR, typestore
-from ...factory.production.cli.extras import Need, require
 from .base import (
     MOST_BEAMS,
     MOST_PIXELS,

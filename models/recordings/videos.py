@@ -18,7 +18,7 @@ import numpy as np
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
-from ...factory.production.cli.extras import Need, require
+from ...factory.common.extras import Need, require
 from .base import MOST_PIXELS, Ended, Recording, SonarFrame, ask_pixels, explained, untinted
 from .containers import container_of, has_index, is_cut_short
 from .orientation import UPRIGHT, Orientation, orientation_of_matrix

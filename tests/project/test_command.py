@@ -15,7 +15,7 @@ import pytest
 
 import simnfnd
 from simnfnd.command import main, overview
-from simnfnd.factory.production.cli.extras import EXTRAS
+from simnfnd.factory.common.extras import EXTRAS
 from simnfnd.verbs import VERBS
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT, project
@@ -195,7 +195,7 @@ def test_the_core_alone_answers_every_verb(tmp_path: Path) -> None:
 
 _CORE_ALONE = r"""
 import contextlib, io, pathlib, sys
-from simnfnd.factory.production.cli.extras import EXTRAS
+from simnfnd.factory.common.extras import EXTRAS
 for module in EXTRAS:
     sys.modules[module] = None
 from simnfnd.command import main

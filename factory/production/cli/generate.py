@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ... import __version__
 from ...common.errors import FactoryError
 from ...common.extensions import refuse_main
+from ...common.extras import require
 from ...common.files import check_writable
 from ...common.progress import RunReporter, stage_if_slow
 from ...common.words import list_word, shell_line
@@ -22,6 +23,7 @@ from ...dataset.schema import Provenance, config_hash
 from ...dataset.storage import shown
 from ...simulation.config.identity import extensions_of, has_input_files, identity
 from ...simulation.config.key_effects import refuse_keys_without_effect
+from ...simulation.config.needs import needs_of
 from ...simulation.config.renderer_choice import renderer_of
 from ...simulation.config.root import (
     FactoryConfig,
@@ -43,7 +45,6 @@ from ...simulation.pairs.views import Cache, ViewMaker
 from ...simulation.scenes import open_reader
 from ..scheduler.plan import DatasetJob, plan_shards, with_inputs, work_folder
 from . import EXIT_BAD_INPUT, PRELOADED
-from .extras import needs_of, require
 from .hydra_loader import config_folder_words
 from .named_keys import named_keys
 

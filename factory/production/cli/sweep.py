@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback
 
 from ...common.errors import FactoryError
+from ...common.extras import install_command
 from ...common.progress import RunReporter, print_fact, print_warning
 from . import markdown
-from .extras import install_command
 from .sweep_curve import draw_curve
 
 if TYPE_CHECKING:

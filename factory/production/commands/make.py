@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from ...common.extras import install_command
 from ...common.workers import template
 from ..cli import PRELOADED, run_app
-from ..cli.extras import install_command
 from ..cli.hydra_loader import config_folder_words, help_word
 
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")

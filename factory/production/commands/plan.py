@@ -16,13 +16,14 @@ from statistics import fmean
 from typing import TYPE_CHECKING, NamedTuple
 
 from ...common.errors import FactoryError, FrameError
+from ...common.extras import require
 from ...common.progress import clock
 from ...common.workers.machine import available_memory_bytes, keep_freed_memory, usable_cores
 from ...common.workers.settings import RENDERER_GB, WORKER_GB
 from ...dataset.frame_ref import FrameRef
+from ...simulation.config.needs import needs_of
 from ..cli import Parser
 from ..cli.compose import compose_points
-from ..cli.extras import needs_of, require
 
 if TYPE_CHECKING:
     from ...simulation.config.root import FactoryConfig

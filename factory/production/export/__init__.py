@@ -7,10 +7,10 @@ from importlib import import_module
 from pathlib import Path
 
 from ...common.errors import FactoryError
+from ...common.extras import Need, require
 from ...common.files import refuse_files, whole_folder
 from ...dataset.pair_dataset import PairDataset
 from ...dataset.reader import Split
-from ..cli.extras import Need, require
 from .object_selection import ObjectSelection
 
 # Format -> the libraries that it needs.  `write_FORMAT(pairs, folder)` fills an empty folder and
