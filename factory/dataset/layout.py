@@ -52,8 +52,6 @@ with suppress(ImportError):
     DEFLATE = import_module("isal.isal_zlib")
 """isal's zlib, in a third to two thirds of the time; readers may have numpy and h5py alone."""
 
-ECHO_PLACE = "echoes/place"
-
 _LZF = 32000
 _ZSTD = 32015
 _FLETCHER32 = 3
@@ -124,18 +122,6 @@ def optional_layers(file: h5py.File) -> tuple[str, ...]:
             raise FactoryError(f"/{folder} is no group of layers")
         names += [f"{EFFECT_FOLDER}{name}" for name in sorted(group)]
     return tuple(names)
-
-
-def echo_names(file: h5py.File) -> tuple[str, ...]:
-    """Lists of echoes that versions before 0.4 could write, for h5py alone to read; mostly none.
-
-    Raises FactoryError when one lies in another file.
-    """
-    listed = dataset_inside(file, CHECKSUMS).dtype.names if exists(file, CHECKSUMS) else None
-    names = tuple(name for name in listed or () if name.startswith("echoes/"))
-    for name in (ECHO_PLACE, *names) if names else ():
-        dataset_inside(file, name)
-    return names
 
 
 def config_of(file: h5py.File) -> dict[str, Any]:
@@ -324,9 +310,7 @@ def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
 def _check_contents(file: h5py.File) -> None:
     """Compare `checksum`; /checksums must have a row a sample and a column a layer."""
     if not exists(file, CHECKSUMS) or not set(SEALS) <= set(file.attrs):
-        raise FactoryError(
-            "its checksums are absent; generate the shard again (versions before 0.3 wrote none)"
-        )
+        raise FactoryError("its checksums are absent; generate the shard again")
     table = dataset_inside(file, CHECKSUMS)
     names = _checksummed_names(file)
     columns = table.dtype.names or ()
@@ -348,7 +332,7 @@ def check_texts(file: h5py.File) -> None:
 
 
 def _checksummed_names(file: h5py.File) -> tuple[str, ...]:
-    return (*CORE, *optional_layers(file), *echo_names(file))
+    return (*CORE, *optional_layers(file))
 
 
 def _digest(document: Any) -> str:
@@ -357,14 +341,12 @@ def _digest(document: Any) -> str:
 
 
 def _contents(file: h5py.File) -> list[Any]:
-    """What `checksum` covers: root attributes, axes, places of echoes, /meta and /checksums."""
+    """What `checksum` covers: root attributes, axes, /meta and /checksums."""
     attributes = [
         [name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS
     ]
     axes = [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])]
     document: list[Any] = [attributes, axes]
-    if echo_names(file):
-        document.append(["echoes", crc32(file[ECHO_PLACE][()])])
     for table in (file["meta"][()], file[CHECKSUMS][()]):
         columns = [[name, table.dtype[name].str] for name in table.dtype.names or ()]
         document.append([columns, crc32(table)])
@@ -375,8 +357,7 @@ def _texts(file: h5py.File, names: Sequence[str]) -> list[Any]:
     """What `text_checksum` covers: axes of layers, and the attributes of layers, /meta and axes."""
     axes_of_layer: dict[str, list[str]] = {}
     for name in names:
-        # Images of the camera and lists of echoes have no axes.
-        if name not in CAMERA_LAYERS and not name.startswith("echoes/"):
+        if name not in CAMERA_LAYERS:  # which have no axes
             dimensions = file[name].dims
             axes_of_layer[name] = [str(dimensions[1].label), str(dimensions[2].label)]
     axis_names = sorted(set(chain.from_iterable(axes_of_layer.values())))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import sys
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, SupportsIndex, cast
+from typing import Any, NamedTuple, SupportsIndex, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -35,13 +36,29 @@ from .schema import (
     Pair,
 )
 from .schema import layers as known_layers
-from .shares import Share, loader_share
 from .storage import local_folder
 
 WINDOW = 16
 THREADS = 4
 
 Sample = dict[str, Array]
+
+
+class Share(NamedTuple):
+    """Every `processes`-th sample, from sample `number` on, where several processes share them."""
+
+    number: int
+    processes: int
+
+
+def loader_share() -> Share:
+    """The share of this worker of a torch DataLoader; all samples in any other process.
+
+    Looks at torch where the program has loaded it, and never loads it.
+    """
+    torch_data = sys.modules.get("torch.utils.data")
+    worker = torch_data.get_worker_info() if torch_data is not None else None
+    return Share(0, 1) if worker is None else Share(worker.id, worker.num_workers)
 
 
 @dataclass(frozen=True, eq=False)

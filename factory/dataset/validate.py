@@ -25,7 +25,7 @@ from ..common.files import is_temporary, sha256_of
 from ..common.isolated import LASTING
 from .folder import CARD_NAME, PREVIEW_NAME, STATUS_NAME, WORK_NAME
 from .labels import classes_of
-from .layout import check_texts, config_of, echo_names, image_axes, inside, optional_layers
+from .layout import check_texts, config_of, image_axes, inside, optional_layers
 from .manifest import (
     CONFIG_NAME,
     FAILURES_NAME,
@@ -392,7 +392,7 @@ def _form(file: h5py.File, known_layers: tuple[Layer, ...], columns: tuple[str, 
         f"{layer.name} {file[layer.name].shape[1:]}" for layer in known_layers if layer.of_camera
     ]
     shapes = " ".join((str(noisy.shape[1:]), *camera_sizes))
-    names = ", ".join((*(layer.name for layer in known_layers), *echo_names(file)))
+    names = ", ".join(layer.name for layer in known_layers)
     axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
     form = f"{shapes} {noisy.dtype}, layers {names}, axes {axes}, columns {', '.join(columns)}"
     return form[:4000]

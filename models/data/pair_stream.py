@@ -20,10 +20,9 @@ from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.extras import require
 from ...factory.common.seeds import stream
 from ...factory.dataset.frame_ref import FrameRef
-from ...factory.dataset.pair_dataset import in_unit_range, is_grey
+from ...factory.dataset.pair_dataset import in_unit_range, is_grey, loader_share
 from ...factory.dataset.schema import CORE, EFFECT_FOLDER, Pair
 from ...factory.dataset.schema import layers as known_layers
-from ...factory.dataset.shares import loader_share
 from ...factory.production.cli.compose import compose_config
 from ...factory.production.cli.stored import stored_config
 from ...factory.simulation.config.needs import needs_of

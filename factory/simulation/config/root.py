@@ -20,7 +20,6 @@ from ...dataset.schema import CAMERA_LAYERS
 from ...dataset.settings import DatasetSettings
 from ..devices.settings import DeviceSettings
 from ..imaging.settings import (
-    FORMATION_NAMES_OF_0_4,
     AcousticsSettings,
     CoherentSettings,
     PointwiseSettings,
@@ -290,16 +289,11 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
 
 
 def _with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a stored configuration, with version 0.4's names of the formations replaced."""
+    """The values of a configuration as datasets store it, with today's names of the formations."""
     current = dict(values)
     acoustics = {"formation": "pointwise", **(current.get("acoustics") or {})}
-    name = acoustics["formation"]
-    if name in FORMATION_NAMES_OF_0_4:
-        acoustics["formation"] = FORMATION_NAMES_OF_0_4[name]
-    if name == "points":
-        # All other keys of the group, and the water, did nothing then.
-        acoustics = {"formation": "pointwise"}
-        current.pop("water", None)
+    if acoustics["formation"] == "field":
+        acoustics["formation"] = "coherent"
     current["acoustics"] = acoustics
     return current
 

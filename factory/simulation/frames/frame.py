@@ -89,6 +89,12 @@ def _simple_ratio(ratio: float) -> float:
     return nearest if abs(nearest / ratio - 1) < 0.02 else ratio
 
 
+def turned(matrix: Float64s, points: Float64s) -> Float64s:
+    """(N, 3) points times a (3, 3) matrix, summed in one order on every machine."""
+    x, y, z = points.T
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
 class Surroundings:
     """Where a recording begins, for its moving objects.

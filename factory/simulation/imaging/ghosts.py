@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.array_types import Float32s, Float64s, Int32s, Int64s, UInt32s
-from ..frames.axes import turned
+from ..frames.frame import turned
 from ..sonar.ghosts import arrivals_m, lengths
 from .cells import cell_names, occupied_cells
 

@@ -85,8 +85,6 @@ AcousticsSettings = Annotated[
 """The image formation, each with the settings that it uses."""
 
 Formation = Literal["pointwise", "coherent"]
-FORMATION_NAMES_OF_0_4: dict[str, Formation] = {"points": "pointwise", "field": "coherent"}
-"""Names in the configurations of datasets that version 0.4 wrote -> names of today."""
 SETTINGS_OF: dict[Formation, type[PointwiseSettings] | type[CoherentSettings]] = {
     "pointwise": PointwiseSettings,
     "coherent": CoherentSettings,

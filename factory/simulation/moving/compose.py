@@ -16,8 +16,7 @@ import numpy as np
 
 from ...common.array_types import Bools, Float64s, Floats, Int32s, Int64s
 from ...common.seeds import spawn_key
-from ..frames.axes import turned
-from ..frames.frame import Frame, MovingPixels
+from ..frames.frame import Frame, MovingPixels, turned
 from ..meshes.triangle_mesh import vertex_normals
 from ..render.base import Mount, Rendered
 from .cast import Actor

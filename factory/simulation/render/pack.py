@@ -1,7 +1,7 @@
 """A pack: renders of many frames in one file, to make pairs where Blender is not installed.
 
 A zip archive: `pack.json` lists the frames and how they were rendered, and each frame is a member
-in the format of `simulation.render.view`.  See `simulation.scenes.pack_index`.
+in the format of `simulation.render.view`.  See `simulation.scenes.pack`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ... import __version__
 from ...common.errors import FactoryError
 from ...common.files import whole_file
 from ...dataset.frame_ref import FrameRef
-from ..scenes.pack_index import (
+from ..scenes.pack import (
     DAMAGE,
     INDEX_NAME,
     SCHEMA,
@@ -41,9 +41,8 @@ _TIME = (1980, 1, 1, 0, 0, 0)
 class Contents(NamedTuple):
     """The content of a pack.
 
-    members: in the order of the frames.  render: what made the renders; of a pack of version 0.4
-    its kind alone is known, and the others are the defaults.  digest: of all frames and views.
-    classes: of the user's own objects, see `labels.class_names`.
+    members: in the order of the frames.  render: what made the renders.  digest: of all frames
+    and views.  classes: of the user's own objects, see `labels.class_names`.
     """
 
     members: Mapping[FrameRef, Member]
@@ -104,7 +103,7 @@ def read_view(path: Path, member: Member) -> View:
     try:
         with opened_pack(path) as archive:
             content = read_member(archive, member.name)
-        if member.digest and digest_of(content) != member.digest:
+        if digest_of(content) != member.digest:
             raise ValueError("not the view that pack.json states")
         return decode(content)
     except (OSError, *DAMAGE) as error:

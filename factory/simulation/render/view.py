@@ -162,7 +162,7 @@ def _read_head(content: bytes) -> tuple[dict[str, Any], int]:
         raise ValueError("checksum differs")
     head: dict[str, Any] = parse_json(text)
     if head["precision"] != _PRECISION:
-        raise ValueError("a small view, which version 0.3 could make; pack renders again")
+        raise ValueError("no view of this version")
     return head, text_begin + length
 
 

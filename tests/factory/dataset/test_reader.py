@@ -21,7 +21,7 @@ import torch
 
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset import PairDataset, reader
-from simnfnd.factory.dataset.shares import Share
+from simnfnd.factory.dataset.pair_dataset import Share
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
 from tests.factory.dataset.some_shards import SOURCE, some_pairs, write
 

@@ -443,11 +443,3 @@ def test_a_mapping_names_each_of_its_keys_and_a_distribution_none() -> None:
     words = ["sonar.range={auto:false,max_m:9}", "-m", "resample.rate={uniform:[0.1,0.2]}"]
     words += ["~frames.total", "water=sea", "+scenes/objects=example"]
     assert named_keys(words) == ["sonar.range.auto", "sonar.range.max_m", "resample.rate", "water"]
-
-
-def test_settings_that_0_4_wrote_for_points_are_read() -> None:
-    """All keys of the complex field stood in them and did nothing."""
-    values = plain(compose_config([]))
-    values["acoustics"] = {"formation": "points", "target": "mean_log", "tvg_log": 30.0}
-    values["water"] = {"temperature_c": 15.0, "salinity_psu": 0.0, "depth_m": 2.0, "ph": 7.0}
-    assert from_mapping(values) == compose_config([])

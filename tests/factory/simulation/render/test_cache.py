@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import ast
 import errno
-import json
 import os
 import shutil
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import h5py
@@ -168,24 +166,6 @@ def test_a_dataset_of_a_pack_states_which_and_takes_no_other(tmp_path: Path) -> 
     cycles = config(tmp_path, scenes={"kind": "pack", "root": str(pack)}, render={"kind": "cycles"})
     with pytest.raises(FactoryError, match="render=cycles: the pack"):
         identity(cycles)
-
-
-def test_packs_of_0_4_are_read(tmp_path: Path) -> None:
-    view = some_view()
-    ref = FrameRef("a", "b", "c")
-    pack = tmp_path / "new.pack"
-    old = tmp_path / "old.pack"
-    write_pack(pack, [ref], lambda _: view, Mount(), RenderSettings("embree"))
-    with zipfile.ZipFile(pack) as new, zipfile.ZipFile(old, "w") as archive:
-        head = json.loads(new.read("pack.json"))
-        head |= {"schema": "simnfnd-pack 2", "render": "embree"}
-        head.pop("digest")
-        head["frames"][0].pop("digest")
-        archive.writestr("000000.view", new.read("000000.view"))
-        archive.writestr("pack.json", json.dumps(head))
-    contents = read_contents(old)
-    assert contents.render.kind == "embree"
-    assert same(PackViews(str(old), Mount()).view(ref), view)
 
 
 def test_a_render_that_cannot_be_read_now_is_kept(
