@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from functools import cache, partial
@@ -33,7 +32,6 @@ from .job import DenoisingJob
 from .journal import opened_journal
 from .reports import TABLE, line_of, write_table
 from .temporal.stream import FRAMES
-from .unfinished import FOLDER as UNFINISHED
 
 SHEETS = "sheets"
 _MOST_LINES = 20  # of files; the table has them all
@@ -80,7 +78,6 @@ def main(arguments: Sequence[str]) -> int:
         is_anew = options.again or video is not None
         if is_anew:
             journal.begin_anew()
-            shutil.rmtree(out / UNFINISHED, ignore_errors=True)
         job = DenoisingJob(
             out=out,
             denoise=denoise,
@@ -91,7 +88,6 @@ def main(arguments: Sequence[str]) -> int:
             compare=with_sheets,
             topics=options.topic,
             video=job_video,
-            resumes=video is None,
         )
         if options.frames > 1:
             for line in said_of_sequences(items):

@@ -204,9 +204,9 @@ class Denoising:
         tally = defaultdict[str, float](float)
         new_stream = partial(self._in_time, self.network, frames=frames, at_once=at_once)
         if frames == 1:
-            return SequenceDenoising(self, new_stream(tally=tally), new_stream, tally, at_once)
+            return SequenceDenoising(self, new_stream(tally=tally), tally)
         stream = Interleaved(new_stream, tally, looks_ahead=not self._is_causal)
-        return SequenceDenoising(self, stream, new_stream, tally, at_once)
+        return SequenceDenoising(self, stream, tally)
 
     def summary(self) -> Iterator[str]:
         """A line if colours stood for levels, and lines of what was done in time."""
@@ -231,27 +231,19 @@ class Denoising:
 
 
 class LazyFan:
-    """Finds the geometry of an image when it is first asked for; is pickled without its finder."""
+    """Finds the geometry of an image when it is first asked for."""
 
     def __init__(self, image: Array, find: Place) -> None:
         self._image: Array | None = image
-        self._find: Place | None = find
+        self._find = find
         self._geometry: FanGeometry | None = None
 
     def __call__(self) -> FanGeometry | None:
         """The geometry; None where it is not known."""
         if self._image is not None:
-            assert self._find is not None, "bind first"
             self._geometry = self._find(self._image)
             self._image = None
         return self._geometry
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_find": None}
-
-    def bind(self, find: Place) -> None:
-        """Give an unpickled object its finder."""
-        self._find = find
 
 
 class SequenceDenoising:
@@ -264,15 +256,10 @@ class SequenceDenoising:
         self,
         denoising: Denoising,
         stream: InTime | Interleaved,
-        new_stream: Callable[..., InTime],
         tally: dict[str, float],
-        at_once: int,
     ) -> None:
-        """new_stream: see `Interleaved`."""
         self._denoising = denoising
         self._stream = stream
-        self._new_stream = new_stream
-        self._at_once = at_once
         self._maps_before = Counter(denoising.maps)
         self.tally = tally
 
@@ -285,29 +272,6 @@ class SequenceDenoising:
     def maps(self) -> Counter[str]:
         """Colour map -> how many images of the sequence had it."""
         return self._denoising.maps - self._maps_before
-
-    def state(self) -> dict[str, Any]:
-        """What `restore` needs; after `settle`."""
-        return {
-            "stream": (self._stream, self.tally),
-            "maps": self.maps,
-            "last_map": self._denoising.last_map,
-        }
-
-    def restore(self, state: dict[str, Any], place_of: Callable[[Any], Place]) -> None:
-        """Go on where another object settled.
-
-        place_of: key of an image -> what finds its geometry, where that was not needed yet.
-        """
-        self._stream, self.tally = state["stream"]
-        if isinstance(self._stream, Interleaved):
-            self._stream.create_by(self._new_stream)
-        self._stream.attach(self._denoising.network, self._at_once)
-        self._denoising.maps.update(state["maps"])
-        self._denoising.last_map = state["last_map"]
-        for shot in self._stream.shots():
-            if isinstance(shot.place, LazyFan):
-                shot.place.bind(place_of(shot.key.key))
 
     def run(self, shots: Iterable[SequenceFrame]) -> Iterator[Denoised]:
         """Denoise a whole sequence."""
@@ -326,10 +290,6 @@ class SequenceDenoising:
             self._denoising.tally[name] += count
         if isinstance(self._stream, Interleaved):
             self._denoising.notes += self._stream.summary()
-
-    def settle(self) -> Iterator[Denoised]:
-        """Yield the images that are still being denoised."""
-        yield from _results(self._stream.settle())
 
     def close(self) -> None:
         """End the threads of a sequence that is not finished."""

@@ -29,7 +29,6 @@ class DenoisingJob:
     used: names of weights, with how many files they denoised.  removed: from all of their images.
     unchanged: images that stayed as they were.  inverted: those with dark echoes.
     video: of all images side by side; None: none is asked for.
-    resumes: whether unfinished recordings go on where a run was interrupted.
     rows: of the table, those that have a line at the end of the run.
     """
 
@@ -47,7 +46,6 @@ class DenoisingJob:
     unchanged: UnchangedReport = field(default_factory=UnchangedReport)
     inverted: InvertedReport = field(default_factory=InvertedReport)
     video: ComparisonVideo | None = None
-    resumes: bool = True
     rows: list[Row] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)

@@ -7,10 +7,8 @@ all of it.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -53,7 +51,6 @@ class Codec:
 
 _BIT_EXACT = {"fflags": "+bitexact"}
 """Without the time of writing and random identifiers: the same images make the same bytes."""
-_PACKET_FIELDS = ("pts", "dts", "duration", "is_keyframe")
 _FULL_RANGE = 2
 """FFmpeg's number of the range in which grey values run from 0 to their largest."""
 
@@ -154,95 +151,6 @@ def _state_shape(file: Path, container: str, video: VideoProperties, size: tuple
         f"the shape of its pixels ({aspect.numerator}:{aspect.denominator}) is lost, {container} "
         "has no room for it; copy the input into an .mkv file to keep it"
     )
-
-
-KeepPacket = Callable[[dict[str, Any], memoryview], None]
-
-
-class VideoPackets:
-    """Encodes the images of a video into packets, which `join_packets` makes a file of.
-
-    size: (H, W) of the first image; None before it.
-    """
-
-    def __init__(self, suffix: str, video: VideoProperties, keep: KeepPacket) -> None:
-        """suffix: of the container.  keep: gets each packet, what is said of it and its bytes."""
-        self._av: Any = import_module("av")
-        self._container, self._codec = CONTAINERS[suffix]
-        self._video = video
-        self._keep = keep
-        self._writer: _StreamWriter | None = None
-        self._output: Any = None
-        self._last_tick: int | None = None
-        self._count = 0
-        self.size: tuple[int, int] | None = None
-
-    def add(self, timed: TimedImage) -> None:
-        """Encode the next image.  Raises FrameError where its size is not that of the first."""
-        if self._writer is None:
-            height, width = timed.image.shape[:2]
-            self.size = self.size or (height, width)
-            self._writer = self._opened(self.size)
-        self._writer.write(self._count, timed)
-        self._count += 1
-
-    def flush(self) -> None:
-        """Keep all packets; the next image begins with a key frame."""
-        if self._writer is not None:
-            self._writer.finish()
-            self._last_tick = self._writer.last_tick
-            self._output.close()
-        self._writer = None
-
-    def state(self) -> dict[str, Any]:
-        """What `restore` needs, after `flush`."""
-        return {"last_tick": self._last_tick, "count": self._count, "size": self.size}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on where another object was flushed."""
-        self._last_tick = state["last_tick"]
-        self._count = state["count"]
-        self.size = state["size"]
-
-    def _opened(self, size: tuple[int, int]) -> _StreamWriter:
-        # In the container of the file, which decides the headers of the stream.
-        self._output = self._av.open(io.BytesIO(), "w", format=self._container, options=_BIT_EXACT)
-        writer = _StreamWriter(
-            self._av, self._output, self._codec, self._video, size, self._keep_packet
-        )
-        if self._last_tick is not None:
-            writer.last_tick = self._last_tick
-        return writer
-
-    def _keep_packet(self, packet: Any) -> None:
-        header = {name: getattr(packet, name) for name in _PACKET_FIELDS}
-        header["time_base"] = str(packet.time_base)
-        self._keep(header, memoryview(packet))
-
-
-def join_packets(
-    file: Path,
-    suffix: str,
-    packets: Iterable[tuple[dict[str, Any], bytes]],
-    video: VideoProperties,
-    size: tuple[int, int] | None,
-) -> str:
-    """Write a video from the packets of a `VideoPackets`; see `write_video`."""
-    av: Any = import_module("av")
-    container, codec = CONTAINERS[suffix]
-    with av.open(str(file), "w", format=container, options=_BIT_EXACT) as output:
-        output.metadata.update(_texts_for(container, video))
-        if size is None:
-            return ""
-        writer = _StreamWriter(av, output, codec, video, size, output.mux)
-        for header, content in packets:
-            packet = av.Packet(content)
-            for name in _PACKET_FIELDS:
-                setattr(packet, name, header[name])
-            packet.time_base = Fraction(header["time_base"])
-            packet.stream = writer.stream
-            output.mux(packet)
-    return _state_shape(file, container, video, size)
 
 
 class _StreamWriter:

@@ -244,14 +244,6 @@ class Geometries:
         fan_found[item.source] = geometry is not None
         return geometry
 
-    def trackers_of(self, item: InputFile) -> dict[tuple[Path, str, tuple[int, ...]], FanTracker]:
-        """What has been found in an item so far, for `restore`."""
-        return {key: tracker for key, tracker in self._trackers.items() if key[0] == item.source}
-
-    def restore(self, trackers: dict[tuple[Path, str, tuple[int, ...]], FanTracker]) -> None:
-        """Go on with an item where another run stopped."""
-        self._trackers.update(trackers)
-
     def summary(self) -> Iterator[str]:
         """One line a folder, image, video or bag that was searched; and what was assumed."""
         if self._has_assumed:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -123,10 +123,6 @@ class Fusion:
         self.noise = NoiseByLevel()
         # Levels of the last frames with their planes, which serve while the sonar is at rest.
         self._blurred: deque[tuple[Array, Array]] = deque(maxlen=_REMEMBERED)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What is computed of frames anew is not kept."""
-        return {**self.__dict__, "_blurred": deque(maxlen=_REMEMBERED)}
 
     def __call__(self, frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
         """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""

@@ -12,7 +12,7 @@ import numpy as np
 from ....factory.common.array_types import Array
 from .kinds import Kind, KindFinder
 from .repeated import Unrepeated
-from .stream import InTime, Network, SequenceFrame
+from .stream import InTime, SequenceFrame
 from .strength import Strength
 
 _PAUSE = 32
@@ -64,7 +64,7 @@ class Interleaved:
     def __init__(
         self, new_stream: Callable[..., InTime], tally: dict[str, float], *, looks_ahead: bool
     ) -> None:
-        self._new_stream: Callable[..., InTime] | None = new_stream
+        self._new_stream = new_stream
         self._spare: InTime | None = new_stream(tally=tally)  # for the first kind
         self._tally = tally
         self._finder = KindFinder(looks_ahead)
@@ -88,35 +88,10 @@ class Interleaved:
             self._end(kind)
         yield from self._in_order()
 
-    def settle(self) -> Iterator[tuple[Any, Array]]:
-        """Yield the frames that are still being denoised; see `InTime.settle`."""
-        for stream in self._streams.values():
-            self._keep(stream.frames.settle())
-        yield from self._in_order()
-
     def close(self) -> None:
         """End the threads of a sequence that is not finished."""
         for stream in self._in_time():
             stream.close()
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_new_stream": None}
-
-    def create_by(self, new_stream: Callable[..., InTime]) -> None:
-        """Give an unpickled object what makes streams."""
-        self._new_stream = new_stream
-
-    def attach(self, network: Network | None, at_once: int) -> None:
-        """See `InTime.attach`."""
-        for stream in self._in_time():
-            stream.attach(network, at_once)
-
-    def shots(self) -> Iterator[SequenceFrame]:
-        """The frames that are in memory."""
-        yield from self._finder.shots()
-        for stream in self._streams.values():
-            for shot in stream.frames.shots():
-                yield replace(shot, key=shot.key.key)
 
     @property
     def strength(self) -> Strength:
@@ -176,7 +151,6 @@ class Interleaved:
             stream = self._spare
             self._spare = None
             return stream
-        assert self._new_stream is not None, "create_by first"
         return self._new_stream(tally=self._tally)
 
     def _let_rest(self) -> None:

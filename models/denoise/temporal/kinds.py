@@ -86,10 +86,6 @@ class KindFinder:
         """The frames that are left; the sequence has ended."""
         yield from self._judged(is_end=True)
 
-    def shots(self) -> Iterator[SequenceFrame]:
-        """The frames that are not judged yet."""
-        yield from (look.shot for look in self._waiting)
-
     def _judged(self, *, is_end: bool) -> Iterator[tuple[SequenceFrame, Kind]]:
         """The waiting frames that can be judged by now, each with its kind."""
         while self._waiting:

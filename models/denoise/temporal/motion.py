@@ -103,11 +103,6 @@ class AlignmentView:
         self.shape: tuple[int, int] = self.band.shape
         self.sampled = self.lit.ravel()[::_SAMPLED] > 0
 
-    def __getstate__(self) -> dict[str, Any]:
-        """What is computed of the rest when it is needed is not kept."""
-        computed = ("slopes", "hessian", "block_powers", "spectrum")
-        return {name: value for name, value in self.__dict__.items() if name not in computed}
-
     @cached_property
     def slopes(self) -> tuple[Array, Array]:
         """Slopes of the band along x and y."""

@@ -70,10 +70,6 @@ class Unrepeated:
         if not self._waits:
             yield from self._pass_on(self._newest)
 
-    def settle(self) -> Iterator[tuple[Any, Array]]:
-        """See `InTime.settle`."""
-        yield from self._results(self._stream.settle())
-
     def flush(self) -> Iterator[tuple[Any, Array]]:
         """See `InTime.flush`."""
         yield from self._pass_waiting()
@@ -83,12 +79,6 @@ class Unrepeated:
         """See `InTime.finish`."""
         yield from self._pass_waiting()
         yield from self._results(self._stream.finish())
-
-    def shots(self) -> Iterator[SequenceFrame]:
-        """The frames that are in memory."""
-        yield from self._stream.shots()
-        runs = [*self._runs, self._newest, self._last[0] if self._last else None]
-        yield from (run.shot for run in runs if run is not None)
 
     def close(self) -> None:
         """See `InTime.close`."""

@@ -166,25 +166,6 @@ class InTime:
         while self._next <= self._newest - self._lookahead():
             yield from self._denoise_next()
 
-    def settle(self) -> Iterator[tuple[Any, Array]]:
-        """Yield the frames that are still being denoised; the stream can be pickled then."""
-        yield from self._finished(0)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All that a stream in another process needs to go on, but for `attach`."""
-        assert not self._pending, "settle first"
-        return {**self.__dict__, "_network": None, "_pool": None, "_reduced": {}, "_thumbnails": {}}
-
-    def attach(self, network: Network | None, at_once: int) -> None:
-        """Give an unpickled stream its network and threads."""
-        self._network = network
-        self._pool = ThreadPoolExecutor(at_once)
-        self._max_pending = at_once if at_once > 1 else 0
-
-    def shots(self) -> Iterator[SequenceFrame]:
-        """The frames that are in memory."""
-        yield from self._shots.values()
-
     def flush(self) -> Iterator[tuple[Any, Array]]:
         """Yield all frames that are left, as no more of them come for some time."""
         while self._next <= self._newest:

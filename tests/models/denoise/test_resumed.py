@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,9 +15,8 @@ import pytest
 
 from simnfnd.factory.common.array_types import Float32s, UInt8s
 from simnfnd.factory.common.ros_types import typestore
-from simnfnd.models.denoise import checkpoint, command, unfinished
+from simnfnd.models.denoise import command
 from simnfnd.models.denoise.reports import TABLE
-from simnfnd.models.denoise.spool import Spool
 from simnfnd.models.recordings.rosbag import IMAGE
 from tests.models.adapt.scenes import noisy, scene, write
 from tests.models.recordings.bag_files import image as image_message
@@ -93,119 +90,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 def use(monkeypatch: pytest.MonkeyPatch, denoiser: Smoothing) -> Smoothing:
     monkeypatch.setattr(command, "Denoiser", lambda *arguments, **named: denoiser)
     return denoiser
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", WRITERS)
-def test_a_stopped_recording_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    """Twice, and at most `INTERVAL` frames and a window are denoised again."""
-    WRITERS[name](tmp_path / name)
-    words = [str(tmp_path / name), "--frames", "3", "--geometry", "none", "--compare", "--out"]
-    whole = use(monkeypatch, Smoothing())
-    assert command.main([*words, str(tmp_path / "whole")]) == 0
-
-    out = tmp_path / "out"
-    counts = []
-    for at in (whole.count * 45 // 100, whole.count * 30 // 100):
-        stopping = use(monkeypatch, Smoothing(at))
-        with pytest.raises(KeyboardInterrupt):
-            command.main([*words, str(out)])
-        counts.append(stopping.count)
-    last = use(monkeypatch, Smoothing())
-    assert command.main([*words, str(out)]) == 0
-    assert contents(out) == contents(tmp_path / "whole")
-    assert not (out / unfinished.FOLDER).exists()
-    again = sum(counts) + last.count - whole.count
-    assert again <= 2 * (unfinished.INTERVAL + 8)
-
-
-@pytest.mark.slow
-def test_a_killed_run_goes_on(tmp_path: Path) -> None:
-    """By KILL, in processes of their own."""
-    write_video(tmp_path / "a.avi")
-    script = tmp_path / "run.py"
-    script.write_text(
-        "import sys\n"
-        "from simnfnd.models.denoise import command\n"
-        "from tests.models.denoise.test_resumed import Smoothing\n"
-        "at = int(sys.argv[1])\n"
-        "command.Denoiser = lambda *arguments, **named: Smoothing(at or None, 9)\n"
-        "sys.exit(command.main(sys.argv[2:]))\n"
-    )
-    words = [str(tmp_path / "a.avi"), "--frames", "3", "--geometry", "none", "--out"]
-
-    def run(at: int, out: str) -> subprocess.CompletedProcess[str]:
-        call = [sys.executable, str(script), str(at), *words, str(tmp_path / out)]
-        return subprocess.run(call, capture_output=True, text=True, env={**os.environ})
-
-    assert run(0, "whole").returncode == 0
-    for at in (25, 20):
-        assert run(at, "out").returncode == -signal.SIGKILL
-    last = run(0, "out")
-    assert last.returncode == 0, last.stderr
-    assert "goes on behind frame 32" in last.stdout
-    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
-
-
-@pytest.mark.slow
-def test_a_recording_that_changed_begins_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As does one whose state is damaged, or whose frames are missing."""
-    source = tmp_path / "a.npy"
-    np.save(source, moving_scene())
-    out = tmp_path / "out"
-    words = [str(source), "--frames", "3", "--geometry", "none", "--out", str(out)]
-
-    def change_source(folder: Path) -> None:
-        np.save(source, moving_scene()[::-1])
-
-    def damage_state(folder: Path) -> None:
-        content = bytearray((folder / "state").read_bytes())
-        content[len(content) // 2] ^= 255
-        (folder / "state").write_bytes(content)
-
-    def lose_frames(folder: Path) -> None:
-        (folder / "frames").write_bytes(b"")
-
-    for change in (change_source, damage_state, lose_frames):
-        use(monkeypatch, Smoothing(25))
-        with pytest.raises(KeyboardInterrupt):
-            command.main([*words, "--again"])
-        (folder,) = (out / unfinished.FOLDER).iterdir()
-        change(folder)
-        anew = use(monkeypatch, Smoothing())
-        assert command.main(words) == 0
-        assert anew.count >= FRAMES - 1
-
-
-def test_states_hold_data_alone() -> None:
-    """No function is called by name, whoever wrote the file."""
-
-    class Evil:
-        def __reduce__(self) -> Any:
-            return os.system, ("true",)
-
-    with pytest.raises(ValueError, match="system"):
-        checkpoint.unpacked(checkpoint.packed(Evil()))
-    for damaged in (b"", checkpoint.packed([1, 2, 3])[:-1]):
-        with pytest.raises(ValueError, match="damaged"):
-            checkpoint.unpacked(damaged)
-
-
-def test_a_spool_forgets_what_was_cut_off(tmp_path: Path) -> None:
-    spool = Spool(tmp_path / "frames")
-    spool.append({"a": 1}, b"first")
-    spool.sync()
-    length = spool.length
-    spool.append({"a": 2}, memoryview(b"second"))
-    spool.close()
-    (tmp_path / "frames").open("ab").write(b"half")
-    again = Spool(tmp_path / "frames", length)
-    again.append({"a": 3}, b"third")
-    assert [(header["a"], content) for header, content in again] == [(1, b"first"), (3, b"third")]
 
 
 # --- A second run -------------------------------------------------------------------------------
