@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 
 from ...factory.common.array_types import Array, Float32s
@@ -18,18 +19,39 @@ def less_total_variation(grey: Array, weight: Array, steps: int) -> Float32s:
     grey: (H, W).  weight: (H, W), how much less, in grey values.
     Fast gradient projection of the dual (Beck and Teboulle 2009), isotropic, a number of steps.
     """
-    from .temporal import kernels  # loads numba
-
     weight = np.maximum(weight, _LEAST_WEIGHT)
     step = _EIGHTH / weight
-    image = np.empty_like(weight)
-    across, down, previous_across, previous_down = np.zeros((4, *grey.shape), np.float32)
+    across, down, next_across, next_down = np.zeros((4, *grey.shape), np.float32)
+    slope_across, slope_down = np.zeros((2, *grey.shape), np.float32)
     momentum = 1.0
     for _ in range(steps):
-        kernels.less_divergence(image, grey, across, down, weight)
+        image = _primal(grey, across, down, weight)
+        np.subtract(image[:, 1:], image[:, :-1], out=slope_across[:, :-1])
+        np.subtract(image[1:], image[:-1], out=slope_down[:-1])
+        cv2.accumulateProduct(slope_across, step, across)
+        cv2.accumulateProduct(slope_down, step, down)
+
+        length = np.maximum(cv2.magnitude(across, down), 1)
+        across /= length
+        down /= length
+
         next_momentum = (1 + math.sqrt(1 + 4 * momentum * momentum)) / 2
-        push = np.float32((momentum - 1) / next_momentum)
-        kernels.step_dual(across, down, previous_across, previous_down, image, step, push)
+        push = (momentum - 1) / next_momentum
         momentum = next_momentum
-    kernels.less_divergence(image, grey, previous_across, previous_down, weight)
+        # The dual with momentum, over the dual of the step before.
+        cv2.addWeighted(across, 1 + push, next_across, -push, 0, dst=next_across)
+        cv2.addWeighted(down, 1 + push, next_down, -push, 0, dst=next_down)
+        across, next_across = next_across, across
+        down, next_down = next_down, down
+    # Without momentum.
+    return _primal(grey, next_across, next_down, weight)
+
+
+def _primal(grey: Array, across: Float32s, down: Float32s, weight: Float32s) -> Float32s:
+    """The image (H, W) of a dual: the grey values and the divergence times the weight."""
+    image = across + down
+    image[:, 1:] -= across[:, :-1]
+    image[1:] -= down[:-1]
+    image *= weight
+    image += grey
     return image

@@ -126,12 +126,12 @@ class Fusion:
 
     def __call__(self, frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
         """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""
-        from . import kernels  # loads numba
-
         grey = grey_of(frame)
         if not neighbours:
             ones = np.ones(grey.shape, np.float32)
             return FusedFrame(frame, ones, ones)
+        from . import kernels  # loads numba
+
         small, visible = self._reduce(grey, neighbours)
         noise_sample = None
         index = self._neighbour_to_measure(len(neighbours))

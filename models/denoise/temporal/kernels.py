@@ -244,67 +244,6 @@ def medians_by_level(
     return medians, counts
 
 
-@compiled(f"void({_RESULT}, {_RESULT}, {_RESULT}, {_RESULT}, {_PLANE}, {_PLANE}, float32)")
-def step_dual(
-    across: Float32s,
-    down: Float32s,
-    previous_across: Float32s,
-    previous_down: Float32s,
-    image: Float32s,
-    step: Float32s,
-    push: np.float32,
-) -> None:
-    """A step of fast gradient projection; see `total_variation`.
-
-    across, down: the dual, with the momentum of the step before; they get that of this one.
-    previous_across, previous_down: the dual before the step; they become the one behind it.
-    image: of the dual.  step: how far the dual follows the slope of the image, of each pixel.
-    """
-    height, width = image.shape
-    rights = np.empty(width, np.float32)
-    lowers = np.empty(width, np.float32)
-    # Short loops without branches: a compiler makes vectors of them.
-    for row in range(height):
-        below = min(row + 1, height - 1)
-        for column in range(width - 1):
-            slope = image[row, column + 1] - image[row, column]
-            rights[column] = across[row, column] + slope * step[row, column]
-        rights[width - 1] = across[row, width - 1]
-        for column in range(width):
-            slope = image[below, column] - image[row, column]
-            lowers[column] = down[row, column] + slope * step[row, column]
-        for column in range(width):
-            right = rights[column]
-            lower = lowers[column]
-            length = max(np.sqrt(right * right + lower * lower), _ONE)
-            rights[column] = right / length
-            lowers[column] = lower / length
-        for column in range(width):
-            right = rights[column]
-            across[row, column] = right + push * (right - previous_across[row, column])
-            previous_across[row, column] = right
-        for column in range(width):
-            lower = lowers[column]
-            down[row, column] = lower + push * (lower - previous_down[row, column])
-            previous_down[row, column] = lower
-
-
-@compiled(f"void({_RESULT}, {_PLANE}, {_PLANE}, {_PLANE}, {_PLANE})")
-def less_divergence(
-    image: Float32s, grey: Float32s, across: Float32s, down: Float32s, weight: Float32s
-) -> None:
-    """Float32s values and the divergence of the dual, times the weight, as `image`."""
-    height, width = image.shape
-    for row in range(height):
-        for column in range(width):
-            divergence = across[row, column] + down[row, column]
-            if column > 0:
-                divergence -= across[row, column - 1]
-            if row > 0:
-                divergence -= down[row - 1, column]
-            image[row, column] = divergence * weight[row, column] + grey[row, column]
-
-
 @compiled(
     f"{_RESULT}({_PLANE}, Array(float32, 3, 'C', readonly=True), "
     f"Array(uint8, 2, 'C', readonly=True), {_PLANE}, {_PLANE}, float32[::1])"

@@ -92,6 +92,6 @@ def _move_parameter(
     candidates = np.repeat(np.array(outline)[None], _MOVES, axis=0)
     candidates[:, parameter] += moves_px
     outlines = [Outline(*row) for row in candidates.tolist()]
-    costs = np.array([likelihood.whole_pixel_cost(outline) for outline in outlines])
+    costs = likelihood.whole_pixel_costs(outlines)
     is_best = costs <= costs.min() + _EQUAL_COST
     return Outline(*candidates[is_best].mean(axis=0).tolist())

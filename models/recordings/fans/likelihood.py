@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ....factory.common.array_types import Float64s
 from .lit_pixels import LitPixels, PixelCounts
 from .outline import AnchorRows, Outline
 from .sector import Sector
@@ -73,15 +75,19 @@ class OutlineLikelihood:
         sector = outline.to_sector(self._anchors)
         if sector is None:
             return INVALID_COST
-        return self._cost(self._lit_pixels.count_fractional(sector, self._column_step))
+        counts = self._lit_pixels.count_fractional(sector, self._column_step)
+        return float(self._cost(counts))
 
-    def whole_pixel_cost(self, outline: Outline) -> float:
-        """Cost by whole pixels, exact to a pixel; `INVALID_COST` without a sector."""
-        sector = outline.to_sector(self._anchors)
-        if sector is None:
-            return INVALID_COST
-        return self._cost(self._lit_pixels.count_whole(sector, self._column_step))
+    def whole_pixel_costs(self, outlines: Sequence[Outline]) -> Float64s:
+        """(n,) costs by whole pixels, exact to a pixel; `INVALID_COST` without a sector."""
+        sectors = [outline.to_sector(self._anchors) for outline in outlines]
+        costs = np.full(len(sectors), INVALID_COST)
+        is_valid = [sector is not None for sector in sectors]
+        valid = [sector for sector in sectors if sector is not None]
+        if valid:
+            costs[is_valid] = self._cost(self._lit_pixels.count_whole(valid, self._column_step))
+        return costs
 
-    def _cost(self, counts: PixelCounts) -> float:
+    def _cost(self, counts: PixelCounts) -> Any:
         sampled_cost = self._black_cost * counts.black - self._lit_gain * counts.lit
         return sampled_cost * self._column_step

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....factory.common.array_types import Bools
-from .sector import Sector
+from ....factory.common.array_types import Bools, Float64s, Int64s
+from .sector import Sector, row_spans
 
 
 class PixelCounts(NamedTuple):
-    """Pixels in a sector, and how many of them are lit; parts of pixels count."""
+    """Pixels in a sector, and how many of them are lit; parts of pixels count.
 
-    area: float
-    lit: float
+    Numbers for one sector, (S,) for several.
+    """
+
+    area: Any
+    lit: Any
 
     @property
-    def black(self) -> float:
+    def black(self) -> Any:
         """Pixels in the sector that are not lit."""
         return self.area - self.lit
 
@@ -33,11 +37,15 @@ class LitPixels:
 
     def __init__(self, lit: Bools) -> None:
         """lit: (H, W), whether a pixel is lit."""
-        from . import kernels  # loads numba
-
-        self._sums = kernels.lit_above_rows(np.ascontiguousarray(lit))
-        self._count_pixels = kernels.count_pixels
-        self.width = lit.shape[1]
+        height, width = lit.shape
+        # By column, so that both look-ups of a border lie side by side.  A border at the end of the
+        # image is followed by no further row: the last sum is there twice.
+        sums = np.zeros((width, height + 2), np.int32)
+        np.cumsum(lit.T, axis=1, out=sums[:, 1:-1])
+        sums[:, -1] = sums[:, -2]
+        self._lit_above = sums.ravel()
+        self._height = height
+        self.width = width
         self.pixel_count = lit.size
         self.lit_count = int(lit.sum())
 
@@ -48,17 +56,37 @@ class LitPixels:
 
         column_step: only every n-th column counts.
         """
-        return self._count(sector, column_step, whole=False)
+        columns = np.arange(column_step // 2, self.width, column_step)
+        # The sums begin at the upper border of row 0, half a row above its centre.
+        return self._count(row_spans(sector, columns) + 0.5, columns)
 
-    def count_whole(self, sector: Sector, column_step: int = 1) -> PixelCounts:
-        """Count the pixels whose centres lie in the sector, each as a whole.
+    def count_whole(self, sectors: Sequence[Sector], column_step: int = 1) -> PixelCounts:
+        """Count the pixels whose centres lie in each of some sectors, each as a whole.
 
         Pixels were lit whole when the image was made, so that these counts place an edge better
         than those of parts, which draw it outward.
 
         column_step: only every n-th column counts.
         """
-        return self._count(sector, column_step, whole=True)
+        columns = np.arange(column_step // 2, self.width, column_step)
+        borders = row_spans(Sector(*np.array(sectors).T[:, :, None]), columns)
+        np.ceil(borders[0], out=borders[0])
+        np.floor(borders[1], out=borders[1])
+        borders[1] += 1
+        return self._count(borders, columns)
 
-    def _count(self, sector: Sector, column_step: int, whole: bool) -> PixelCounts:
-        return PixelCounts(*self._count_pixels(self._sums, tuple(sector), column_step, whole))
+    def _count(self, borders: Float64s, columns: Int64s) -> PixelCounts:
+        """Count the pixels between upper and lower borders, (2, n) or (2, S, n) rows of columns."""
+        np.maximum(borders, 0.0, out=borders)
+        np.minimum(borders, self._height, out=borders)
+        np.maximum(borders[0], borders[1], out=borders[1])
+        rows = borders.astype(np.intp)
+        places = rows + columns * (self._height + 2)
+        lit_above_rows = self._lit_above.take(places)
+        places += 1
+        # A lit pixel that a border cuts counts by its part above.
+        lit_above = (borders - rows) * (self._lit_above.take(places) - lit_above_rows)
+        lit_above += lit_above_rows
+        upper_area, lower_area = np.add.reduce(borders, axis=-1)
+        upper_lit, lower_lit = np.add.reduce(lit_above, axis=-1)
+        return PixelCounts(lower_area - upper_area, lower_lit - upper_lit)

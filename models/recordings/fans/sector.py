@@ -6,7 +6,9 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from ....factory.common.array_types import UInt8s
+import numpy as np
+
+from ....factory.common.array_types import Float64s, Int64s, UInt8s
 from ....factory.dataset.fan_geometry import FanGeometry
 
 _MIN_HALF_ANGLE_DEG = 2.0
@@ -47,9 +49,9 @@ class Sector(NamedTuple):
 
     def mask(self, height: int, width: int) -> UInt8s:
         """(H, W), 1 where the centre of a pixel lies in the sector, 0 elsewhere."""
-        from . import kernels  # loads numba
-
-        return kernels.sector_mask(tuple(self), height, width)
+        first, last = row_spans(self, np.arange(width))
+        rows = np.arange(height)[:, None]
+        return ((first <= rows) & (rows <= last)).astype(np.uint8)
 
     def to_geometry(self) -> FanGeometry:
         """The fan that has its data in this sector; the device's sector is symmetric."""
@@ -64,3 +66,24 @@ class Sector(NamedTuple):
             x_scale=self.squeeze,
         )
         return replace(symmetric_fan, azimuth_min_rad=left_rad, azimuth_max_rad=right_rad)
+
+
+def row_spans(sector: Sector, columns: Int64s) -> Float64s:
+    """(2, n) first and last rows, with fractions, in which columns of an image meet a sector.
+
+    A span begins at the far arc and ends at the near arc or at an edge, whichever comes first.
+    Beside the sector the last row is above the first.
+    columns: (n,).  Fields of several sectors, (S, 1) each, give (2, S, n).
+    """
+    across = (columns - sector.apex_x) / sector.squeeze
+    # Distances ahead of the apex, along y, of both arcs.
+    squares = across * across
+    ahead = np.empty((2, *across.shape))
+    np.subtract(sector.far_px * sector.far_px, squares, out=ahead[0])
+    np.subtract(sector.near_px * sector.near_px, squares, out=ahead[1])
+    np.maximum(ahead, 0.0, out=ahead)
+    np.sqrt(ahead, out=ahead)
+    # An edge lies ahead in columns of its own side, and behind the apex in the others.
+    edge_ahead = np.maximum(across / sector.left_tangent, across / sector.right_tangent)
+    np.maximum(ahead[1], edge_ahead, out=ahead[1])
+    return np.asarray(np.subtract(sector.apex_y, ahead, out=ahead))

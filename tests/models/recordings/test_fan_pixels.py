@@ -1,4 +1,4 @@
-"""Pixels in sectors, counted by the compiled loops, against a plain test of every point."""
+"""Pixels in sectors, counted by sums of columns, against a plain test of every point."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_counts_and_mask_of_a_sector(name: str) -> None:
     np.testing.assert_array_equal(sector.mask(HEIGHT, WIDTH), inside)
     for step in (1, 3):
         some = slice(step // 2, None, step)
-        whole = lit_pixels.count_whole(sector, step)
+        whole = lit_pixels.count_whole([sector], step)
         assert whole == (inside[:, some].sum(), (inside & lit)[:, some].sum())
         fractional = lit_pixels.count_fractional(sector, step)
         # Each column may be wrong by half a point at both ends.
