@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
+from ...factory.common.array_types import Int64s
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import real_path
 from ...models.detection.boxes import Boxes, no_boxes
@@ -28,10 +29,22 @@ class RealImage:
     """An image, its objects, and boxes in which detections do not count.
 
     ignored: (M, 4) px, of the classes to ignore.
+    crowds, crowd_labels: (K, 4) px and (K,), of crowd regions: a detection of the class in one
+        counts only where it finds an object.
     """
 
     labelled: LabelledImage
     ignored: Boxes
+    crowds: Boxes = field(default_factory=no_boxes)
+    crowd_labels: Int64s = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+class _StatedBox(NamedTuple):
+    """A box of the file: left, top, right, bottom, and whether it marks a crowd."""
+
+    category: int
+    corners: list[float]
+    is_crowd: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +159,9 @@ def _categories(path: Path, content: Mapping[str, Any]) -> dict[int, str]:
 
 def _boxes_by_image(
     path: Path, content: Mapping[str, Any], categories: Mapping[int, str]
-) -> dict[Any, list[tuple[int, list[float]]]]:
-    """Id of each image -> category and left, top, right, bottom of its boxes."""
-    boxes: dict[Any, list[tuple[int, list[float]]]] = {}
+) -> dict[Any, list[_StatedBox]]:
+    """Id of each image -> its boxes."""
+    boxes: dict[Any, list[_StatedBox]] = {}
     for entry in _entries(path, content, "images"):
         number = entry.get("id")
         if not _is_whole(number) or number in boxes:
@@ -167,7 +180,10 @@ def _boxes_by_image(
         if width <= 0 or height <= 0:
             raise FactoryError(f"{which}: width and height of `bbox` must be greater than 0")
         corners = [left, top, left + width, top + height]
-        boxes[entry["image_id"]].append((int(entry["category_id"]), corners))
+        # COCO marks regions of uncounted objects by `iscrowd`, its successors by `ignore`.
+        is_crowd = bool(entry.get("iscrowd") or entry.get("ignore"))
+        stated = _StatedBox(int(entry["category_id"]), corners, is_crowd)
+        boxes[entry["image_id"]].append(stated)
     return boxes
 
 
@@ -175,7 +191,7 @@ def _read_image(
     root: Path,
     path: Path,
     entry: Mapping[str, Any],
-    boxes_of: Mapping[Any, list[tuple[int, list[float]]]],
+    boxes_of: Mapping[Any, list[_StatedBox]],
     judged: Mapping[int, str],
     classes: Sequence[str],
 ) -> RealImage:
@@ -199,11 +215,16 @@ def _read_image(
     boxes: list[list[float]] = []
     labels: list[int] = []
     ignored: list[list[float]] = []
-    for category, corners in boxes_of[entry["id"]]:
+    crowds: list[list[float]] = []
+    crowd_labels: list[int] = []
+    for category, corners, is_crowd in boxes_of[entry["id"]]:
         left, top, right, bottom = corners
         if left >= width or top >= height or right <= 0 or bottom <= 0:
             raise FactoryError(f"{path}: image {entry['id']}: a box lies outside {name}")
-        if category in judged:
+        if category in judged and is_crowd:
+            crowds.append(corners)
+            crowd_labels.append(classes.index(judged[category]))
+        elif category in judged:
             boxes.append(corners)
             labels.append(classes.index(judged[category]))
         else:
@@ -215,7 +236,9 @@ def _read_image(
         _as_boxes(boxes),
         np.array(labels, np.int64),
     )
-    return RealImage(labelled, _as_boxes(ignored))
+    return RealImage(
+        labelled, _as_boxes(ignored), _as_boxes(crowds), np.array(crowd_labels, np.int64)
+    )
 
 
 def _find_image(root: Path, annotations: Path, name: str) -> Path | None:

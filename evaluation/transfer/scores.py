@@ -92,10 +92,11 @@ def match(
         if entry is None:
             continue
         number = entry["image_id"]
-        objects[number] = len(entry["gtIds"])
-        scores.append(np.array(entry["dtScores"], np.float64))
-        hits.append(np.asarray(entry["dtMatches"][0]) > 0)
-        numbers.append(np.full(len(entry["dtScores"]), number, np.int64))
+        objects[number] = np.count_nonzero(np.asarray(entry["gtIgnore"]) == 0)
+        counts = np.asarray(entry["dtIgnore"][0]) == 0
+        scores.append(np.array(entry["dtScores"], np.float64)[counts])
+        hits.append(np.asarray(entry["dtMatches"][0])[counts] > 0)
+        numbers.append(np.full(np.count_nonzero(counts), number, np.int64))
     matches = Matches(
         np.concatenate(numbers) if numbers else np.zeros(0, np.int64),
         np.concatenate(scores) if scores else np.zeros(0),
@@ -121,6 +122,9 @@ def _evaluate(
         of_class = slice(None) if label is None else labelled.labels == label
         for box in labelled.boxes[of_class]:
             truths.append({"id": len(truths) + 1, **_entry(number, box), "iscrowd": 0})
+        in_class = slice(None) if label is None else real.crowd_labels == label
+        for box in real.crowds[in_class]:
+            truths.append({"id": len(truths) + 1, **_entry(number, box), "iscrowd": 1})
         is_wanted = slice(None) if label is None else own_detections.labels == label
         for box, score in zip(
             own_detections.boxes[is_wanted], own_detections.scores[is_wanted], strict=True

@@ -156,8 +156,8 @@ with h5py.File("{shard}") as shard:
 
 `shadow` is true inside the sonar's sector where no echo arrives. `meta` has, for each sample, \
 its frame and every number that was drawn for it; `axes` has range and bearing. One chunk is one \
-image. `index.h5` shows the shards of this folder as one file (`index["train/noisy"][0]`), without \
-a copy: open it by its own path, with all shards beside it. `manifest.json` lists the shards with \
+image. `index.h5` joins the shards of small datasets (`index["train/noisy"][0]`) and links to \
+those of large ones (`index["train/shard-00000/noisy"][0]`). `manifest.json` lists the shards with \
 their SHA-256, `config.yaml` every setting. `simnfnd validate` checks a copy, `simnfnd export` \
 writes other formats."""
 

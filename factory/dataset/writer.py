@@ -1,8 +1,9 @@
 """Writes shards: pairs in, an HDF5 file out whose bytes depend on the pairs alone; and index.h5.
 
-index.h5 shows all shards as one file, by virtual datasets with relative paths, for those who have
-h5py alone: `index["train/noisy"][12345]`.  HDF5 fills a shard that is absent with zeros and says
-nothing, so whoever can should ask manifest.json first, as `PairDataset` and `validate` do.
+index.h5 is for those who have h5py alone.  It holds the pairs of small datasets once more, as
+`index["train/noisy"][12345]`, and links to the shards of large ones.  It has no virtual datasets,
+because HDF5 silently fills these with zeros wherever it cannot open a shard: one that is absent or
+may not be read, or more shards than the system lets a process open.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ from .schema import (
 )
 from .settings import DatasetSettings
 
+_MOST_JOINED_BYTES = 1 << 28
+"""Size of a dataset up to which index.h5 holds its pairs once more, some 4,000 of usual size."""
 # Weights of the sums of Fletcher's checksum, for a piece of this many words.
 _WEIGHTS = np.arange(1 << 16, 0, -1, dtype=np.float64)
 
@@ -221,58 +224,89 @@ def write_index(directory: Path, manifest: Manifest) -> None:
     """Write index.h5 for the shards of `manifest`, and manifest.json with its SHA-256.
 
     The shards are of one configuration or were compared (`merge`), so the first shows the form of
-    all.  Equal input gives equal bytes.  Raises FactoryError when the first cannot be read.
+    all.  Equal input gives equal bytes.  Raises FactoryError when a shard cannot be read.
     """
-    with reading(directory / min(manifest.shards)) as first, _file_in_memory() as index:
-        # What every shard says in the same words is said once.
-        shared = (name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))
-        index.attrs.update({name: first.attrs[name] for name in shared})
+    total_bytes = sum(shard.bytes for shard in manifest.shards.values())
+    with _file_in_memory() as index:
+        with reading(directory / min(manifest.shards)) as first:
+            # What every shard says in the same words is said once.
+            shared = (name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))
+            index.attrs.update({name: first.attrs[name] for name in shared})
+            known = layers(
+                str(first["noisy"].dtype), optional_layers(first), classes_of(config_of(first))
+            )
+            if total_bytes <= _MOST_JOINED_BYTES:
+                _create_joined(index, manifest, first, known)
         # A merged dataset is of another configuration than any of its shards.
         index.attrs["config_hash"] = manifest.config_hash
         index.attrs["config"] = config_text(manifest.config)
-        axes = image_axes(first["noisy"])
-        for axis in axes:
-            _write_axis(index, axis)
-        classes = classes_of(config_of(first))
-        known = layers(str(first["noisy"].dtype), optional_layers(first), classes)
-        for split, shards in ((split, manifest.of_split(split)) for split in SPLITS):
-            for layer in known if shards else ():
-                _describe(_virtual(index, split, first[layer.name], shards), layer, axes)
-            if shards:
-                table = _virtual(index, split, first["meta"], shards)
-                table.attrs.update(first["meta"].attrs)
+        if total_bytes <= _MOST_JOINED_BYTES:
+            _copy_shards(index, directory, manifest, known)
+        else:
+            for shard in manifest.shards.values():
+                # Relative to the folder of the index itself, so the dataset can be moved.
+                name = shard.path.removesuffix(".h5")
+                index[name] = h5py.ExternalLink(shard.path, "/")
         index.flush()
         content = index.id.get_file_image()
     write_atomically(directory / INDEX_NAME, content)
     save_manifest(directory, replace(manifest, index_sha256=hashlib.sha256(content).hexdigest()))
 
 
-def _virtual(
-    index: h5py.File, split: str, like: h5py.Dataset, shards: Sequence[ShardInfo]
-) -> h5py.Dataset:
-    """A virtual dataset that joins those of all shards.
+def _create_joined(
+    index: h5py.File, manifest: Manifest, first: h5py.File, known: Sequence[Layer]
+) -> None:
+    """The layers and tables of the index, empty; those of one shard show their form."""
+    axes = image_axes(first["noisy"])
+    for axis in axes:
+        _write_axis(index, axis)
+    for split in SPLITS:
+        count = manifest.samples(split)
+        for layer in known if count else ():
+            like = first[layer.name]
+            stack = index.create_dataset(
+                f"{split}/{layer.name}",
+                shape=(count, *like.shape[1:]),
+                dtype=like.dtype,
+                chunks=like.chunks,
+                track_times=False,
+                **_filters_of(like),
+            )
+            _describe(stack, layer, axes)
+        if count:
+            kind = first["meta"].dtype
+            table = index.create_dataset(f"{split}/meta", (count,), kind, track_times=False)
+            table.attrs.update(first["meta"].attrs)
 
-    Made by h5py's low-level calls, which can omit the time stamp and use one extent for all shards
-    of a size: h5py.VirtualLayout takes ten times as long.
-    """
-    name = str(like.name).lstrip("/")
-    shape = like.shape[1:]
-    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    layout.set_layout(h5py.h5d.VIRTUAL)
-    layout.set_obj_track_times(False)
-    place = h5py.h5s.create_simple((sum(shard.samples for shard in shards), *shape))
-    whole: dict[int, h5py.h5s.SpaceID] = {}
-    start = 0
-    origin = (0,) * len(shape)
-    for shard in shards:
-        size = (shard.samples, *shape)
-        whole.setdefault(shard.samples, h5py.h5s.create_simple(size))
-        place.select_hyperslab((start, *origin), size)
-        # Relative to the folder of the index itself, so the dataset can be moved.
-        layout.set_virtual(place, shard.path.encode(), name.encode(), whole[shard.samples])
-        start += shard.samples
-    place.select_all()
-    group, _, own = f"{split}/{name}".rpartition("/")
-    parent = index.require_group(group)
-    kind = h5py.h5t.py_create(like.dtype, logical=True)
-    return h5py.Dataset(h5py.h5d.create(parent.id, own.encode(), kind, place, dcpl=layout))
+
+def _copy_shards(
+    index: h5py.File, directory: Path, manifest: Manifest, known: Sequence[Layer]
+) -> None:
+    """Copy the layers and tables of all shards, in the order of their names."""
+    for split in SPLITS:
+        start = 0
+        for shard in manifest.of_split(split):
+            with reading(directory / shard.path) as file:
+                index[f"{split}/meta"][start : start + shard.samples] = file["meta"][()]
+                for layer in known:
+                    _copy_images(file[layer.name], index[f"{split}/{layer.name}"], start)
+            start += shard.samples
+
+
+def _filters_of(stack: h5py.Dataset) -> dict[str, Any]:
+    return {
+        "fletcher32": stack.fletcher32,
+        "compression": stack.compression,
+        "compression_opts": stack.compression_opts,
+    }
+
+
+def _copy_images(source: h5py.Dataset, target: h5py.Dataset, start: int) -> None:
+    """Copy images, a chunk each, behind the first `start` ones of another dataset."""
+    if _filters_of(source) != _filters_of(target):
+        target[start : start + len(source)] = source[()]
+        return
+    corner = (0,) * (source.ndim - 1)
+    for number in range(len(source)):
+        mask, content = source.id.read_direct_chunk((number, *corner))
+        target.id.write_direct_chunk((start + number, *corner), content, mask)

@@ -19,7 +19,7 @@ from ...factory.common.array_types import Array, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.workers.machine import usable_cores
 from ...factory.dataset.fan_geometry import FanGeometry
-from ..recordings.base import FULL_SCALE, SonarFrame
+from ..recordings.base import FULL_SCALE, SonarFrame, colours_of, white_of
 from ..recordings.device_settings import RecordedSettings, settings_of
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from ..recordings.views import polar_geometry
@@ -386,7 +386,7 @@ def check(image: Array) -> None:
             "(grey and alpha), 3 or 4 (colours and alpha)"
         )
     if image.dtype == np.float32:
-        colours = _colours(image)
+        colours = colours_of(image)
         if not (colours.min() >= 0 and colours.max() <= 1):
             raise OutOfRange(
                 f"float pixels must lie in 0..1, these are {colours.min():g} to {colours.max():g}; "
@@ -396,7 +396,7 @@ def check(image: Array) -> None:
 
 def levels_of(image: Array) -> Float32s:
     """(H, W) or (H, W, C) float32 in 0..1, without alpha; colours that are equal as one plane."""
-    levels = _colours(image).astype(np.float32) / np.float32(FULL_SCALE[str(image.dtype)])
+    levels = colours_of(image).astype(np.float32) / np.float32(FULL_SCALE[str(image.dtype)])
     if levels.ndim == 3 and (levels == levels[..., :1]).all():
         levels = np.ascontiguousarray(levels[..., 0])
     return levels
@@ -410,38 +410,23 @@ def restored(levels: Float32s, image: Array) -> Array:
         values = np.multiply(levels, full, dtype=np.float64)
         np.rint(values, out=values)
     result = image.copy()
-    colours = _colours(result)
+    colours = colours_of(result)
     colours[...] = values if values.ndim == image.ndim else values[..., None]
     return result
 
 
 def without_alpha(image: Array) -> Array:
     """(H, W) of grey with or without alpha, (H, W, 3) of colours."""
-    colours = _colours(image)
+    colours = colours_of(image)
     return colours[..., 0] if colours.ndim == 3 and colours.shape[2] == 1 else colours
-
-
-def white_of(image: Array) -> float:
-    """The grey value of white: full scale, or that of 10 or 12 bits in samples of 16."""
-    if image.dtype != np.uint16:
-        return FULL_SCALE[str(image.dtype)]
-    largest = int(_colours(image).max(initial=0))
-    return float((1 << max(largest.bit_length(), 8)) - 1)
 
 
 def inverted(image: Array, white: float) -> Array:
     """An image with white as black and black as white; alpha as it is."""
     result = image.copy()
-    colours = _colours(result)
-    colours[...] = np.clip(white - _colours(image), 0, white).astype(image.dtype)
+    colours = colours_of(result)
+    colours[...] = np.clip(white - colours_of(image), 0, white).astype(image.dtype)
     return result
-
-
-def _colours(image: Array) -> Array:
-    """A view without the alpha channel."""
-    if image.ndim == 2:
-        return image
-    return image[..., : 3 if image.shape[2] in (3, 4) else 1]
 
 
 def block_means(plane: Float32s, times: int) -> Float32s:

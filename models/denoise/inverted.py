@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 
 from ...factory.common.array_types import Array
-from ..recordings.base import FULL_SCALE
-from .images import white_of
+from ..recordings.base import FULL_SCALE, white_of
 from .temporal.motion import grey_of
 from .unchanged import first_of
 

@@ -37,6 +37,8 @@ IMAGE_SUFFIXES = (
 FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 
+_WHITES = tuple(float((1 << bits) - 1) for bits in (8, 10, 12, 14))
+
 # Times its size that an untrusted file may unpack to; a small one to `ALWAYS_BYTES`, and none to
 # more than `MOST_BYTES` at once.  Raw sonar images are mostly black and pack 5 to 50 times.
 RATIO = 200
@@ -299,6 +301,25 @@ def as_samples(page: Array, name: str) -> Array:
             f"{page.max():g}; scale them (of echoes in linear units the logarithm)"
         )
     return page
+
+
+def colours_of(image: Array) -> Array:
+    """A view of an image without its alpha channel, (H, W) or (H, W, 1 or 3)."""
+    if image.ndim == 2:
+        return image
+    return image[..., : 3 if image.shape[2] in (3, 4) else 1]
+
+
+def white_of(image: Array) -> float:
+    """The grey value of white: full scale, or that of 8, 10, 12 or 14 bits in samples of 16.
+
+    Cameras and sonars of so few bits store them in the lower ones.
+    """
+    full = FULL_SCALE[str(image.dtype)]
+    if image.dtype != np.uint16:
+        return full
+    largest = float(colours_of(image).max(initial=0))
+    return next((white for white in _WHITES if largest <= white), full)
 
 
 def known(value: float, most: float = 1e6) -> float | None:

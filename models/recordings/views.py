@@ -18,8 +18,8 @@ from ...factory.common.array_types import Float32s, Floats
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.simulation.sonar.fan import fan_table
-from . import kind_of, open_recording
-from .base import FULL_SCALE, Beams, SonarFrame
+from . import DATASET, kind_of, open_recording
+from .base import FULL_SCALE, Beams, SonarFrame, white_of
 from .device_settings import RecordedSettings, settings_in_name, settings_of
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 
 MOST_ROWS = 1024
+_FRAMES_LOOKED_AT = 5
 _MOST_SIDE = 2048
 
 
@@ -114,10 +115,14 @@ def frame_settings(path: Path, number: int) -> RecordedSettings:
 def frame_image(path: Path, number: int) -> tuple[Float32s, FanGeometry | None]:
     """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where the file has none.
 
-    Raises FactoryError when it cannot be read.
+    Colours are the levels of their map, else luminance.  Samples of few bits in 16 are as bright as
+    they look, see `white_of`.  Raises FactoryError when it cannot be read.
     """
     frame = _frame_at(path, number)
     grey = grey_of(frame)
+    if frame.samples.dtype == np.uint16:
+        white = max(_white_of_recording(path), white_of(frame.samples))
+        grey = frame.samples.astype(np.float32) / np.float32(white)
     if not np.isfinite(grey).all():
         raise FactoryError(f"{path}: frame {number} has NaN or infinite pixels")
     if frame.beams is not None:
@@ -127,6 +132,28 @@ def frame_image(path: Path, number: int) -> tuple[Float32s, FanGeometry | None]:
 
         grey = grey_of_colours(grey)
     return np.ascontiguousarray(np.clip(grey, 0, 1)), frame.geometry
+
+
+def read_grey(path: Path) -> Float32s:
+    """(H, W) float32 in 0..1 of an image file, as `frame_image` gives it; the way to open one.
+
+    Raises FactoryError when it cannot be read.
+    """
+    return frame_image(path, 0)[0]
+
+
+@lru_cache(maxsize=64)
+def _white_of_recording(path: Path) -> float:
+    """The white of samples of 16 bits, one for all frames of a recording.
+
+    A few of them are looked at.  Datasets and videos state how deep their samples are, and are
+    stored at full scale.
+    """
+    if kind_of(path) in (DATASET, "video"):
+        return FULL_SCALE["uint16"]
+    recording = _opened(path)
+    numbers = np.linspace(0, len(recording) - 1, min(len(recording), _FRAMES_LOOKED_AT))
+    return max(white_of(recording[int(number)].samples) for number in numbers)
 
 
 _SHARE = 99.5  # percentile of the pixels that are not zero

@@ -58,8 +58,8 @@ def printed(
 def test_an_example_runs_in_a_process_of_its_own(dataset: Path, tmp_path: Path) -> None:
     done = run("read_with_h5py.py", str(dataset), "100", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "index.h5: 100 random reads of 24 pairs, 48 x 48" in done.stdout
-    assert "shards: 100 random reads of 3 files" in done.stdout
+    assert "100 random reads of 24 pairs in 3 shards" in done.stdout
+    assert "index.h5 joins them: (24, 48, 48)" in done.stdout
     assert 5 < float(done.stdout.split("mean PSNR ")[1].split()[0]) < 25
 
 

@@ -168,6 +168,11 @@ def _read_single(path: Path, folder: Path) -> RawPart:
     open3d: Any = importlib.import_module("open3d")
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     header = read_header(path) if path.suffix.lower() == ".ply" else None
+    if header is not None and header.has_strips:
+        raise FactoryError(
+            "holds triangle strips (element tristrips), which are not read; save it with faces, as "
+            "MeshLab does"
+        )
     source = path
     if header is not None and (text := header.with_usual_names()) != header.text:
         source = folder / "renamed.ply"  # Open3D knows colours by one name alone

@@ -6,6 +6,7 @@ its material's options place it.
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -27,6 +28,10 @@ _ONE_ARGUMENT = frozenset(
     {"-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-texres", "-type"}
 )
 _NUMBERS = frozenset({"-o", "-s", "-t"})
+# Statements of numbers alone, where # begins a comment without blanks around it, too.
+_OF_NUMBERS = frozenset({"v", "vt", "f"})
+# Names may hold a #, as in `steel#2` and `Material #25`.
+_COMMENT = re.compile(r"(^#|(?<=\s)#(?=\s|$)).*")
 _TEXTURES = ("map_", "bump", "disp", "decal", "refl", "norm")
 
 
@@ -97,11 +102,11 @@ def _library_paths(folder: Path, rest: str) -> list[Path]:
 
 
 def _statements(path: Path) -> Iterator[tuple[str, str]]:
-    """(keyword, rest) of the lines; a backslash at the end of a line continues it."""
+    """(keyword, rest) of the lines without comments; a backslash at a line's end continues it."""
     pending = ""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for line in file:
-            stripped = line.strip()
+            stripped = _COMMENT.sub("", line.strip()).rstrip()
             # A name may end so too, but only faces and curves are so long.
             if stripped.endswith("\\"):
                 pending += stripped[:-1] + " "
@@ -110,7 +115,9 @@ def _statements(path: Path) -> Iterator[tuple[str, str]]:
             if "\t" in keyword:
                 keyword, _, rest = (pending + stripped).partition("\t")
             pending = ""
-            if keyword and not keyword.startswith("#"):
+            if keyword in _OF_NUMBERS:
+                rest = rest.partition("#")[0]
+            if keyword:
                 yield keyword, rest.strip()
 
 

@@ -20,12 +20,14 @@ class PlyHeader:
 
     text: the header itself, with its last line end.  face_count: of the faces that it claims.
     vertex_types: name -> type of the properties of a vertex.  face_names: of a face's.
+    has_strips: whether triangles stand in strips, as in scans of the Stanford collection.
     """
 
     text: str
     face_count: int
     vertex_types: dict[str, str]
     face_names: frozenset[str]
+    has_strips: bool
 
     @property
     def colour_type(self) -> str | None:
@@ -69,17 +71,19 @@ def read_header(path: Path) -> PlyHeader:
     face_count = 0
     vertex_types: dict[str, str] = {}
     face_names: set[str] = set()
+    has_strips = False
     element = ""
     for line in text.splitlines():
         if match := _ELEMENT.match(line):
             element = match[1]
             face_count += int(match[2]) if element == "face" else 0
+            has_strips = has_strips or (element == "tristrips" and int(match[2]) > 0)
         elif match := _PROPERTY.match(line):
             if element == "vertex":
                 vertex_types[match[2]] = match[1]
             if element == "face":
                 face_names.add(match[2])
-    return PlyHeader(text, face_count, vertex_types, frozenset(face_names))
+    return PlyHeader(text, face_count, vertex_types, frozenset(face_names), has_strips)
 
 
 def copy_with_header(path: Path, length: int, text: str, copy: Path) -> None:

@@ -71,6 +71,27 @@ def test_reads_boxes_classes_and_groups(tmp_path: Path) -> None:
     assert real.images[0].ignored.tolist() == [[0, 0, 9, 9]]
 
 
+@pytest.mark.parametrize("mark", ["iscrowd", "ignore"])
+def test_crowds_are_no_objects_and_hide_none(tmp_path: Path, mark: str) -> None:
+    read = read_coco(write_coco(tmp_path / "plain", coco_content()))
+    content = coco_content()
+    for image in content["images"]:
+        content["annotations"].append(
+            {"id": 90 + image["id"], "image_id": image["id"], "category_id": 1,
+             "bbox": [0, 0, WIDTH, HEIGHT], mark: 1}
+        )  # fmt: skip
+    crowded = read_coco(write_coco(tmp_path / "crowded", content))
+    for plain, image in zip(read.images, crowded.images, strict=True):
+        assert image.labelled.boxes.tolist() == plain.labelled.boxes.tolist()
+    detections = noisy_detections(list(crowded.images))
+    matches, precision = match(crowded.images, detections, None, 0.5)
+    without, lower = match(read.images, detections, None, 0.5)
+    assert matches.object_counts.tolist() == without.object_counts.tolist()
+    assert matches.is_hit.sum() == without.is_hit.sum()
+    assert len(matches.is_hit) < len(without.is_hit)  # no false alarm in the crowd
+    assert precision > lower
+
+
 def _change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
     """Sets one entry of a file of annotations, for example `annotations.0.bbox`."""
 

@@ -191,7 +191,7 @@ def test_the_card_says_what_is_there_and_its_code_runs(
         "images left out: 3, no depth",
         "frames that failed: 1,",
         "Of this dataset: CC-BY-4.0.",
-        "`index.h5` shows the shards",
+        "`index.h5` joins the shards",
         "**Pixels.** ",
     ):
         assert text in body

@@ -20,7 +20,8 @@ import pytest
 import torch
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.dataset import PairDataset, reader
+from simnfnd.factory.dataset import PairDataset, reader, writer
+from simnfnd.factory.dataset.manifest import load_manifest
 from simnfnd.factory.dataset.pair_dataset import Share
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
 from tests.factory.dataset.some_shards import SOURCE, some_pairs, write
@@ -239,6 +240,22 @@ def test_another_schema_names_file_and_cure(folder: Path, trusted: bool) -> None
         PairDataset(folder, trusted=trusted)[0]
 
 
+def test_an_index_never_shows_zeros_for_a_shard(folder: Path, monkeypatch) -> None:
+    with h5py.File(folder / "index.h5") as index:
+        joined = index["train/noisy"][()]
+    monkeypatch.setattr(writer, "_MOST_JOINED_BYTES", 1)
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    writer.write_index(folder, manifest)
+    with h5py.File(folder / "index.h5") as index:
+        linked = [shard["noisy"][()] for shard in index["train"].values()]
+        np.testing.assert_array_equal(np.concatenate(linked), joined)
+        assert len(linked) == 2
+    (folder / SHARD).unlink()
+    with h5py.File(folder / "index.h5") as index, pytest.raises(KeyError):
+        index[SHARD.removesuffix(".h5")]
+
+
 def test_h5py_alone_reads_the_index_of_a_moved_dataset(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -251,10 +268,7 @@ def test_h5py_alone_reads_the_index_of_a_moved_dataset(
             np.testing.assert_array_equal(stack[:], [getattr(pair, name) for pair in PAIRS])
             assert [dimension.label for dimension in stack.dims] == ["sample", "ahead", "right"]
             np.testing.assert_array_equal(stack.dims[1][0][:], SOURCE.axes()[0].values)
-            assert {source.file_name for source in stack.virtual_sources()} == {
-                "train/shard-00000.h5",
-                "train/shard-00001.h5",
-            }
+            assert not stack.is_virtual
         assert index["test/layers/background"].shape == (4, 24, 20)
         assert index["train/segmentation"].attrs["classes"][1] == "Bottle"
         np.testing.assert_array_equal(index["train/meta"][()], pairs.meta())

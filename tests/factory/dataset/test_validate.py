@@ -131,7 +131,11 @@ def test_what_is_not_as_the_manifest_says_is_found(folder: Path) -> None:
 
 
 def test_a_shard_of_another_form_is_found(folder: Path) -> None:
-    add(folder, "train/shard-00002.h5", some_pairs(1, "delta"))
+    info = write(folder, some_pairs(1, "delta"), "train/shard-00002.h5", PROVENANCE)
+    manifest = load_manifest(folder)
+    assert info is not None
+    assert manifest is not None
+    save_manifest(folder, manifest.with_shard(info))
     assert "train/shard-00002.h5: has another form than" in errors(validate(folder, False))
 
 

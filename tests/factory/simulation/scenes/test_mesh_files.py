@@ -91,6 +91,23 @@ def test_a_material_without_a_texture_has_its_colour(tmp_path: Path) -> None:
     assert mesh.colours == pytest.approx(np.tile([0.25, 0.5, 0.75], (4, 1)))
 
 
+COMMENTED = """# saved from C:\\scans\\
+v 0 0 0 # origin
+v 1 0 0#right
+v 0 1 0	# a tab
+usemtl steel#2 # of the frame
+o bow #2
+f 1 2 3  # left side
+"""
+
+
+def test_comments_of_an_obj_may_follow_a_statement(tmp_path: Path) -> None:
+    (tmp_path / "noted.obj").write_text(COMMENTED)
+    ((name, mesh),) = parts_of(tmp_path / "noted.obj").items()
+    assert name == "bow #2"
+    assert sorted(mesh.vertices.tolist()) == [[0, 0, 0], [0, 1, 0], [1, 0, 0]]
+
+
 @pytest.mark.parametrize("library", ["a.mtl bed.mtl", "my bed.mtl"])
 def test_libraries_may_be_several_or_have_spaces(tmp_path: Path, library: str) -> None:
     write_image(tmp_path / "half.png")

@@ -277,6 +277,16 @@ def test_a_face_of_too_many_corners_is_refused(tmp_path: Path) -> None:
         parts_of(tmp_path / "comb.obj")
 
 
+def test_strips_of_a_ply_are_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "scan.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n"
+        "property float z\nelement tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+        "0 0 0\n1 0 0\n0 1 0\n1 1 0\n4 0 1 2 3\n"
+    )
+    with pytest.raises(FactoryError, match="tristrips"):
+        parts_of(tmp_path / "scan.ply")
+
+
 # --- colours
 
 STORED = {
