@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.shared import Options, Section, Table, frame_words
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.scenes import open_reader
 
 HERE = Path(__file__).resolve().parent

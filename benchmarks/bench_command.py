@@ -28,7 +28,7 @@ from benchmarks.shared import (
     quiet,
     run_command,
 )
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.scenes import open_reader
 
 # Single runs differ by a tenth of a second: by a tenth of what a further frame costs.

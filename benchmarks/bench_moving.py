@@ -8,7 +8,7 @@ from __future__ import annotations
 from benchmarks.shared import Options, Section, Table, cpu_seconds
 from simnfnd.factory.common.workers.machine import keep_freed_memory
 from simnfnd.factory.dataset.frame_ref import FrameRef
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.renderer_choice import renderer_of
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.pairs.pair_maker import PairMaker

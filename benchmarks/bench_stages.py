@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.shared import Options, Section, Table, cpu_seconds, frame_words
 from simnfnd.factory.common import seeds
 from simnfnd.factory.common.workers.machine import keep_freed_memory
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.imaging import pointwise
 from simnfnd.factory.simulation.imaging.contract import effect_clouds
 from simnfnd.factory.simulation.imaging.pointwise import noisy_cloud

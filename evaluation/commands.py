@@ -20,7 +20,7 @@ from ..factory.common.extras import Need, require
 from ..factory.common.settings import build
 from ..factory.common.words import quote
 from ..factory.dataset.storage import local_folder
-from ..factory.production.cli import run_app
+from ..factory.simulation.config.application import run_app
 from ..models import WEIGHTS_NAME
 
 if TYPE_CHECKING:

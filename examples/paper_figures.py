@@ -23,7 +23,7 @@ from matplotlib import pyplot
 from simnfnd.factory.common.distribution import Distribution, number
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.quality import psnr_db
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.config.selection import choose_frames
 from simnfnd.factory.simulation.frames.frame import Frame

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 from .factory import __version__
 from .factory.common import extensions
+from .factory.common.command_line import guard
 from .factory.common.errors import FactoryError
 from .factory.common.extras import EXTRAS, Need, install_command, require
-from .factory.production.cli import guard
-from .factory.production.cli.hydra_loader import config_folders, take_config_folders
+from .factory.simulation.config.hydra_loader import config_folders, take_config_folders
 from .verbs import VERBS, Verb
 
 _HELP = ("-h", "--help")

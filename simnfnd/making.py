@@ -57,8 +57,8 @@ def make_dataset(
     from .factory.common.progress import RunReporter
     from .factory.common.workers import template
     from .factory.dataset.storage import shown
-    from .factory.production.cli.compose import compose_config
     from .factory.production.cli.generate import run
+    from .factory.simulation.config.compose import compose_config
 
     config = compose_config(overrides)
     if out is not None:
@@ -153,7 +153,7 @@ def _config(words: tuple[str, ...], effects: tuple[Effect, ...]) -> FactoryConfi
 
     effects: those registered now; another one may have had the same name.
     """
-    from .factory.production.cli.compose import compose_config
+    from .factory.simulation.config.compose import compose_config
 
     # The frame is at hand, so where recordings are does not matter.
     return compose_config(words, {"kind": "csv_list", "file": ".", "intrinsics": [1, 1, 0, 0]})

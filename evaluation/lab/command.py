@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.manifest import MANIFEST_NAME
-from ...factory.production.cli import Parser
-from ...factory.production.cli.choices import choices_of
+from ...factory.simulation.config.choices import choices_of
 from ..viewer.page_server import add_page_options
 from .server import LabServer
 from .session import Session

@@ -12,7 +12,7 @@ from ...factory.common.errors import FactoryError, NotRendered
 from ...factory.common.extras import require
 from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.schema import Pair
-from ...factory.production.cli.compose import compose
+from ...factory.simulation.config.compose import compose
 from ...factory.simulation.config.key_effects import reason_without_effect
 from ...factory.simulation.config.needs import needs_of
 from ...factory.simulation.config.root import FactoryConfig, from_mapping

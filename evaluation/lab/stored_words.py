@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...factory.common.distribution import FORMS
-from ...factory.production.cli.choices import choices_of
-from ...factory.production.cli.compose import compose
-from ...factory.production.cli.named_keys import named_keys
-from ...factory.production.cli.stored import stored_config
+from ...factory.simulation.config.choices import choices_of
+from ...factory.simulation.config.compose import compose
 from ...factory.simulation.config.key_effects import reason_without_effect
+from ...factory.simulation.config.named_keys import named_keys
 from ...factory.simulation.config.root import plain
+from ...factory.simulation.config.stored import stored_config
 from .exports import word_of
 
 if TYPE_CHECKING:

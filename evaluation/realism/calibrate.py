@@ -21,7 +21,7 @@ from ...factory.common.seeds import spawn_key
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.pair_dataset import in_unit_range
-from ...factory.production.cli.compose import compose_config
+from ...factory.simulation.config.compose import compose_config
 from ...factory.simulation.config.root import FactoryConfig, from_mapping, plain
 from ...factory.simulation.pairs.pair_maker import PairMaker
 from ...factory.simulation.pairs.views import Views, open_views

@@ -13,8 +13,8 @@ from typing import Any
 
 import pandas as pd
 
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
-from ...factory.production.cli import Parser
 from ..metrics.statistics import LEAST_FRAMES, Paired, holm, paired
 from .build import RESULTS_NAME
 from .real_table import is_real_report, tabulate

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable
 from ...factory.common.words import quote
-from ...factory.production.cli import Parser
 from .build import REPORT_NAME
 from .document import write_files
 from .tables import as_markdown, as_table, beside_paper

@@ -15,8 +15,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
-from ...factory.production.cli import Parser
 
 ADDRESS = "127.0.0.1"
 _CONTENT_POLICY = (

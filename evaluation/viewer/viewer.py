@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from ...factory.common.array_types import Array, Floats, UInt8s
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import real_path, write_atomically
 from ...factory.dataset.layout import optional_layers
@@ -21,7 +22,6 @@ from ...factory.dataset.pair_dataset import PairDataset
 from ...factory.dataset.preview import Shown as OnSheet
 from ...factory.dataset.preview import draw, preview
 from ...factory.dataset.reader import reading
-from ...factory.production.cli import Parser
 from ...models.recordings import (
     DATASET,
     Recording,

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, real_path, sha256_of
-from ...factory.production.cli import Parser
 from ..pretrained import find_weights
 from ..pretrained.learned_files import KEY as LEARNED_FROM
 from ..pretrained.learned_files import described, learned_files

@@ -23,11 +23,11 @@ from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.pair_dataset import in_unit_range, is_grey, loader_share
 from ...factory.dataset.schema import CORE, EFFECT_FOLDER, Pair
 from ...factory.dataset.schema import layers as known_layers
-from ...factory.production.cli.compose import compose_config
-from ...factory.production.cli.stored import stored_config
+from ...factory.simulation.config.compose import compose_config
 from ...factory.simulation.config.needs import needs_of
 from ...factory.simulation.config.root import FactoryConfig
 from ...factory.simulation.config.selection import choose_frames, split_frames
+from ...factory.simulation.config.stored import stored_config
 from ...factory.simulation.pairs.pair_maker import PairMaker, frames_worth_keeping, pair_maker
 from ...factory.simulation.pairs.views import open_views
 from ...factory.simulation.scenes import open_reader

@@ -17,7 +17,7 @@ from ...factory.dataset.frame_ref import FrameRef
 from ...factory.dataset.manifest import CONFIG_NAME
 from ...factory.dataset.schema import config_hash
 from ...factory.dataset.storage import local_folder
-from ...factory.production.cli.compose import compose_config
+from ...factory.simulation.config.compose import compose_config
 from ...factory.simulation.config.root import FactoryConfig, from_mapping, plain
 from ...factory.simulation.config.selection import SplitWarning, choose_frames, split_frames
 from ...factory.simulation.pairs.views import open_views

@@ -9,11 +9,11 @@ from functools import cache, partial
 from pathlib import Path
 
 from ...factory import __version__
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, real_path, remove_stale_temporaries, sha256_of
 from ...factory.common.progress import progress_bar
 from ...factory.common.workers.machine import keep_freed_memory
-from ...factory.production.cli import Parser
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS
 from ..recordings.inputs import (

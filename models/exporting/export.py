@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.extras import Need, require
 from ...factory.common.files import check_writable, sha256_of, write_atomically
-from ...factory.production.cli import Parser
 from ..pretrained import find_weights
 from ..pretrained.card import CardFile, write_card
 

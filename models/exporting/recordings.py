@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.extras import Need, require
 from ...factory.common.files import explain_os_errors, refuse_files, whole_file, whole_folder
 from ...factory.common.progress import progress_bar
-from ...factory.production.cli import Parser
 from ...factory.production.commands.export import main as export_dataset
 from ..recordings import Recording, SonarFrame, dataset_of, is_recording, open_recording
 from ..recordings.base import FULL_SCALE, RecordingDevice, SonarPose

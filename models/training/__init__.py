@@ -11,8 +11,8 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from ...factory.common.settings import build
-from ...factory.production.cli import run_app
-from ...factory.production.cli.hydra_loader import help_word
+from ...factory.simulation.config.application import run_app
+from ...factory.simulation.config.hydra_loader import help_word
 from .. import WEIGHTS_NAME
 
 

@@ -17,7 +17,7 @@ import simnfnd
 from simnfnd.command import main
 from simnfnd.factory.common.progress import RunProgress
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from tests.project.test_face import PLACE, frame
 
 SMALL = (

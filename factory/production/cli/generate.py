@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ... import __version__
+from ...common.command_line import EXIT_BAD_INPUT
 from ...common.errors import FactoryError
 from ...common.extensions import refuse_main
 from ...common.extras import require
@@ -21,8 +22,10 @@ from ...dataset.frame_ref import FrameRef
 from ...dataset.quality import images_digest, lit_share, noisiness, seen_sector_deg
 from ...dataset.schema import Provenance, config_hash
 from ...dataset.storage import shown
+from ...simulation.config.hydra_loader import config_folder_words
 from ...simulation.config.identity import extensions_of, has_input_files, identity
 from ...simulation.config.key_effects import refuse_keys_without_effect
+from ...simulation.config.named_keys import named_keys
 from ...simulation.config.needs import needs_of
 from ...simulation.config.renderer_choice import renderer_of
 from ...simulation.config.root import (
@@ -44,9 +47,7 @@ from ...simulation.pairs.pair_maker import pair_maker
 from ...simulation.pairs.views import Cache, ViewMaker
 from ...simulation.scenes import open_reader
 from ..scheduler.plan import DatasetJob, plan_shards, with_inputs, work_folder
-from . import EXIT_BAD_INPUT, PRELOADED
-from .hydra_loader import config_folder_words
-from .named_keys import named_keys
+from . import PRELOADED
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -120,7 +120,7 @@ class SweepTable(Callback):
         """`run_app` writes the table: after an error Hydra runs no callbacks."""
         from omegaconf import OmegaConf
 
-        from .compose import sweep_points
+        from ...simulation.config.compose import sweep_points
 
         # The words as typed: a job's number is known in the job alone.
         words: Any = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...common.command_line import Parser
 from ...common.errors import FactoryError
 from ...common.files import explain_os_errors
 from ...common.words import shell_line
+from ...simulation.config.compose import compose_config
 from ...simulation.config.renderer_choice import renderer_of
 from ...simulation.pairs.views import Cache, CachedViews
-from ..cli import Parser
-from ..cli.compose import compose_config
 
 
 def main(words: list[str]) -> None:

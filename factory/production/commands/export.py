@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...common.command_line import Parser
 from ...dataset.schema import SPLITS
 from ...dataset.storage import local_folder
-from ..cli import Parser
 from ..export import FORMATS, export
 from ..export.object_selection import BOX_CONVENTIONS
 

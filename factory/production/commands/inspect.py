@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...common.command_line import Parser
 from ...common.errors import FactoryError
 from ...dataset.folder import dataset_settings
 from ...dataset.pair_dataset import PairDataset
@@ -17,7 +18,7 @@ from ...dataset.reader import reading
 from ...dataset.schema import CAMERA_LAYERS, SCHEMA
 from ...dataset.storage import local_folder
 from ...dataset.validate import validate
-from ..cli import Parser, markdown
+from ..cli import markdown
 
 
 def main(words: list[str]) -> None:

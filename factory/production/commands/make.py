@@ -11,8 +11,9 @@ from pathlib import Path
 
 from ...common.extras import install_command
 from ...common.workers import template
-from ..cli import PRELOADED, run_app
-from ..cli.hydra_loader import config_folder_words, help_word
+from ...simulation.config.application import run_app
+from ...simulation.config.hydra_loader import config_folder_words, help_word
+from ..cli import PRELOADED
 
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
 # Words that say nothing of the profile: with others, one dataset is what was asked for.

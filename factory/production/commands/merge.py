@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ...common.command_line import Parser
 from ...common.errors import FactoryError
 from ...common.files import refuse_files, whole_folder
 from ...dataset.card import write_card
@@ -22,7 +23,6 @@ from ...dataset.preview import preview
 from ...dataset.schema import SPLITS, Provenance, config_hash
 from ...dataset.settings import DatasetSettings
 from ...dataset.writer import write_index
-from ..cli import Parser
 
 # What may differ: which frames there are, how their noise is seeded, and how they are stored.
 _FREE = re.compile(

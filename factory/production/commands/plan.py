@@ -15,15 +15,15 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, NamedTuple
 
+from ...common.command_line import Parser
 from ...common.errors import FactoryError, FrameError
 from ...common.extras import require
 from ...common.progress import clock
 from ...common.workers.machine import available_memory_bytes, keep_freed_memory, usable_cores
 from ...common.workers.settings import RENDERER_GB, WORKER_GB
 from ...dataset.frame_ref import FrameRef
+from ...simulation.config.compose import compose_points
 from ...simulation.config.needs import needs_of
-from ..cli import Parser
-from ..cli.compose import compose_points
 
 if TYPE_CHECKING:
     from ...simulation.config.root import FactoryConfig

@@ -9,12 +9,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from ...common.command_line import Parser
 from ...common.errors import FactoryError
 from ...common.small_files import parse_json, read_regular
 from ...dataset.folder import STATUS_NAME
 from ...dataset.manifest import Manifest, load_failures, load_manifest
 from ...dataset.schema import SPLITS
-from ..cli import Parser
 from ..scheduler.lock import owner_of
 
 
@@ -88,9 +88,9 @@ def _last_run(status: dict[str, Any], at_work: bool) -> str:
 
 def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
     """Make the failed frames once more.  Nothing that the dataset's files say is executed."""
-    from ..cli.compose import compose_config
+    from ...simulation.config.compose import compose_config
+    from ...simulation.config.stored import stored_config
     from ..cli.generate import run
-    from ..cli.stored import stored_config
 
     frames = tuple(dict.fromkeys(failed))
     config = stored_config(directory, compose_config(settings))

@@ -31,7 +31,7 @@ from simnfnd.evaluation.lab.session import Session
 from simnfnd.evaluation.lab.stored_words import words_of_dataset
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.pair_dataset import PairDataset
-from simnfnd.factory.production.cli.compose import compose_config, compose_points
+from simnfnd.factory.simulation.config.compose import compose_config, compose_points
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.imaging.settings import CoherentSettings
 from simnfnd.factory.simulation.noise.registry import EFFECTS

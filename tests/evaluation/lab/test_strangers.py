@@ -14,7 +14,7 @@ import pytest
 from simnfnd.evaluation.lab.command import read_words
 from simnfnd.evaluation.lab.exports import Base, recipe, sweep_line
 from simnfnd.evaluation.lab.stored_words import words_of
-from simnfnd.factory.production.cli.compose import compose, compose_points
+from simnfnd.factory.simulation.config.compose import compose, compose_points
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping, plain
 from simnfnd.factory.simulation.scenes.csv_list import CsvListSettings
 from tests.evaluation.lab.test_lab import SMALL

@@ -27,8 +27,8 @@ from simnfnd.evaluation.realism.report import distances, real_images, to_polar
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.production.cli.generate import run as generate
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.pairs.pair_maker import pair_maker
 from simnfnd.factory.simulation.sonar.fan import fan_table
 from simnfnd.factory.simulation.sonar.settings import ImageSettings, SonarSettings

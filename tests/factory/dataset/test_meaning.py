@@ -11,7 +11,7 @@ import pytest
 
 from simnfnd.factory.dataset.card import source_terms, stated_licence
 from simnfnd.factory.dataset.meaning import grey_meaning, pixel_meaning
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.labels.image_axes import image_axes
 from simnfnd.factory.simulation.sonar import transfer

@@ -24,8 +24,8 @@ from simnfnd.command import main
 from simnfnd.factory.common.plots import Curve
 from simnfnd.factory.common.words import list_word, shell_line
 from simnfnd.factory.dataset.frame_ref import FrameRef
-from simnfnd.factory.production.cli.compose import compose_config, compose_points, hydra_words
 from simnfnd.factory.production.cli.sweep_curve import draw_curve, sweep_plot
+from simnfnd.factory.simulation.config.compose import compose_config, compose_points, hydra_words
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping
 from simnfnd.factory.simulation.config.selection import choose_frames, split_frames, split_warnings
 from tests.factory.production.cli_frames import FAST, ground, write_frame

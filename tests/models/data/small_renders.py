@@ -10,8 +10,8 @@ from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
 from simnfnd.factory.common.settings import build
-from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.production.cli.generate import run
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.pairs.views import CachedViews
 from simnfnd.factory.simulation.render.pack import write_pack
 from simnfnd.models.data.pairs import ImageSource

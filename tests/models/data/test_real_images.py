@@ -13,7 +13,7 @@ from simnfnd.evaluation.judging.recorded import open_input
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.simulation.sonar.fan import fan_table
 from simnfnd.factory.simulation.sonar.settings import SonarSettings

@@ -14,7 +14,7 @@ import pytest
 
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.pair_dataset import in_unit_range
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.noise.registry import EFFECTS, NoiseSettings
 from simnfnd.factory.simulation.pairs.pair_maker import pair_maker
 from simnfnd.models.data.crops import Crops, Visit, whole_image

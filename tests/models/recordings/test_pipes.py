@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.pairs.views import ViewMaker
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.fan_tables import read_fans

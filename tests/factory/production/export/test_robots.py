@@ -12,10 +12,10 @@ from simnfnd import PairDataset, make_dataset
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.ros_types import SONAR, typestore
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.production.export import export
 from simnfnd.factory.production.export.mcap import _timed
 from simnfnd.factory.production.export.samples import ExportedSample
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.models.recordings.rosbag import RosBag
 
 WORDS = (

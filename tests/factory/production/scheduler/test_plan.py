@@ -14,12 +14,12 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simnfnd.factory.common.command_line import guard
 from simnfnd.factory.common.workers.settings import (
     MAX_AUTO_WORKERS,
     SchedulerSettings,
     WorkerCounts,
 )
-from simnfnd.factory.production.cli import guard
 from simnfnd.factory.production.scheduler.plan import plan_shards
 from tests.fake_source import refs
 from tests.project_files import ROOT
@@ -98,7 +98,7 @@ def test_crew_follows_cores_memory_and_work(monkeypatch: pytest.MonkeyPatch) -> 
 CODE = """
 import resource, sys
 from pathlib import Path
-from simnfnd.factory.production.cli import guard
+from simnfnd.factory.common.command_line import guard
 from tests.run_fake import make
 if __name__ == "__main__":
     limit, folder = int(sys.argv[1]), Path(sys.argv[2])

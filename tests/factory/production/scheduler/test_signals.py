@@ -16,10 +16,10 @@ from typing import Any
 import psutil
 import pytest
 
+from simnfnd.factory.common.command_line import guard
 from simnfnd.factory.common.files import space
 from simnfnd.factory.dataset.manifest import load_failures, load_manifest
 from simnfnd.factory.dataset.settings import DatasetSettings
-from simnfnd.factory.production.cli import guard
 from simnfnd.factory.production.scheduler import run
 from tests.factory.production.scheduler.run_files import litter, shard_bytes, staged, wait_for
 from tests.fake_source import FakeConfig

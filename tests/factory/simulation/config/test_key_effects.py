@@ -18,10 +18,10 @@ import tifffile
 from simnfnd.factory.common.errors import FactoryError, FrameError
 from simnfnd.factory.common.small_files import load_yaml
 from simnfnd.factory.dataset.frame_ref import FrameRef
-from simnfnd.factory.production.cli.compose import compose_config
-from simnfnd.factory.production.cli.named_keys import named_keys
 from simnfnd.factory.production.scheduler.plan import plan_shards
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.key_effects import reason_without_effect
+from simnfnd.factory.simulation.config.named_keys import named_keys
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping, plain
 from simnfnd.factory.simulation.config.selection import choose_frames, split_frames
 from simnfnd.factory.simulation.pairs.pair_maker import PairMaker

@@ -9,7 +9,7 @@ import pytest
 
 import simnfnd
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.devices import draw as devices
 from simnfnd.factory.simulation.noise.registry import blocks

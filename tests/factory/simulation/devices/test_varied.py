@@ -11,7 +11,7 @@ import pytest
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from simnfnd.factory.dataset.schema import Pair
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.devices import draw as devices

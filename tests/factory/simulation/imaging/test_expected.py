@@ -10,7 +10,7 @@ import pytest
 
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.schema import Pair
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.frames.frame import Frame
 from simnfnd.factory.simulation.imaging.coherent import CoherentSample
 from simnfnd.factory.simulation.imaging.effect import ARTEFACTS

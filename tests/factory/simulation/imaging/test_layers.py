@@ -15,7 +15,7 @@ from simnfnd.factory.common.errors import FactoryError, FrameError
 from simnfnd.factory.dataset.schema import Pair, Provenance, config_hash, layers
 from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.writer import write_shard
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping
 from simnfnd.factory.simulation.frames.frame import Frame
 from simnfnd.factory.simulation.noise.draws import StreamNames, draw

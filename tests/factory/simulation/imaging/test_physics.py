@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.schema import config_hash as digest
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.frames.frame import Frame

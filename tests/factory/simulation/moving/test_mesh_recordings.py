@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.renderer_choice import renderer_of
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.meshes.triangle_mesh import Mesh, box, join, sphere

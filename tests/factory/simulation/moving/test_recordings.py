@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.common.seeds import stream
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.imaging.signal import Signal
 from simnfnd.factory.simulation.noise.drift import drifting_volume
 from simnfnd.factory.simulation.pairs.pair_maker import PairMaker

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.imaging.signal import Ping, Signal
 from simnfnd.factory.simulation.noise.crosstalk import crosstalk

@@ -13,7 +13,7 @@ from scipy import optimize
 from simnfnd.factory.common.array_types import Float64s
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.schema import config_hash
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.config.renderer_choice import renderer_of
 from simnfnd.factory.simulation.config.root import FactoryConfig

@@ -14,7 +14,7 @@ import pytest
 from simnfnd.factory.common.array_types import Float64s, UInt8s
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.quality import psnr_db
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.frames.frame import Frame, Intrinsics
 from simnfnd.factory.simulation.pairs import pair_maker as pairs
 from simnfnd.factory.simulation.render import Rendered, Renderer, RenderSettings, open_renderer

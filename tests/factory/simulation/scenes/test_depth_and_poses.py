@@ -12,7 +12,7 @@ from PIL import Image, TiffImagePlugin
 
 from simnfnd.command import main
 from simnfnd.factory.common.errors import FactoryError, FrameError
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.scenes import open_reader
 from simnfnd.factory.simulation.scenes.frame_files import read_depth

@@ -15,7 +15,7 @@ from PIL import Image
 
 from simnfnd.factory.common.array_types import Bools, Float64s
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.meshes.mesh_loading import MOST_PARTS
 from simnfnd.factory.simulation.meshes.mesh_parts import files_of, read_model

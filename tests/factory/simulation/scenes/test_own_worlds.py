@@ -19,8 +19,8 @@ from simnfnd.command import main
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.schema import config_hash
 from simnfnd.factory.dataset.validate import validate
-from simnfnd.factory.production.cli.compose import compose_config
 from simnfnd.factory.production.export import export
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.config.root import FactoryConfig, from_mapping, plain
 from simnfnd.factory.simulation.imaging.settings import CoherentSettings

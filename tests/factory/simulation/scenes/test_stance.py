@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.common.errors import FactoryError, FrameError
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.labels.insonified import insonified_share
 from simnfnd.factory.simulation.pairs.pair_maker import observe

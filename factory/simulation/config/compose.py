@@ -23,7 +23,7 @@ from .text_values import ValueForm, form_of, hydra_value
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from ...simulation.config.root import FactoryConfig
+    from .root import FactoryConfig
 
 _SWEEP = ("-m", "--multirun")
 _KEY = re.compile(r"[+]{0,2}[A-Za-z_][\w./@:-]*", re.ASCII)
@@ -92,9 +92,9 @@ def _compose(overrides: list[str], scenes: Mapping[str, Any] | None = None) -> C
     """
     from omegaconf import OmegaConf, open_dict
 
-    from ...simulation.config.key_effects import refuse_keys_without_effect
-    from ...simulation.config.root import composed_values, from_mapping
+    from .key_effects import refuse_keys_without_effect
     from .named_keys import named_keys
+    from .root import composed_values, from_mapping
 
     composed = load("factory", overrides)
     pins = _pins(composed, overrides)
@@ -125,7 +125,7 @@ def _one_line_errors(words: Sequence[str]) -> Iterator[list[str]]:
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    from ...simulation.config.root import FactoryConfig
+    from .root import FactoryConfig
 
     settings, folders = take_config_folders(words)
     readable = hydra_words(settings, "factory", FactoryConfig)
@@ -159,9 +159,7 @@ def config_line(error: Exception, name: str) -> str:
 
     name: of the root configuration, conf/<name>.yaml.
     """
-    from ...simulation.imaging.settings import (
-        formation_of,  # not before an error: `--help` must be fast
-    )
+    from ..imaging.settings import formation_of
 
     text = " ".join(f"{error} {error.__cause__ or ''}".split())
     if match := re.search(
@@ -208,7 +206,7 @@ def _keys(name: str) -> set[str]:
             group = path.parent.name
             if group != "experiment":  # which sets keys of others
                 keys |= {group, *_flat(load_yaml(path) or {}, f"{group}.")}
-    from ...simulation.noise.registry import own_effects
+    from ..noise.registry import own_effects
 
     for effect in own_effects():
         parameters = (item.name for item in effect.parameters)

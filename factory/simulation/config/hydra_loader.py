@@ -104,7 +104,7 @@ def _store_readers() -> None:
     """Make `scenes=KIND` a choice of Hydra for each reader of another package."""
     from hydra.core.config_store import ConfigStore
 
-    from ...simulation.scenes import default_values
+    from ..scenes import default_values
 
     for kind in extensions.names("reader"):
         # What cannot be loaded is reported when it is chosen.

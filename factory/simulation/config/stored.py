@@ -7,7 +7,7 @@ from pathlib import Path
 from ...common.errors import FactoryError
 from ...common.small_files import load_yaml, one_line
 from ...dataset.manifest import CONFIG_NAME
-from ...simulation.config.root import FactoryConfig, from_mapping
+from .root import FactoryConfig, from_mapping
 
 # A dataset may be untrusted, so it does not choose where renders are written or which
 # cluster is connected to.
