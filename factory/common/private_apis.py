@@ -1,7 +1,8 @@
 """What is used of other packages without being public there.
 
 Public ways do something else or do not exist: `hydra.compose` works on one global instance;
-`multiprocessing` tells neither whether a fork server runs nor ends it; numba compiles a loop that
+`multiprocessing` tells neither whether a fork server runs nor ends it, and forbids workers of pools
+to start processes; numba compiles a loop that
 is not on disk instead of saying so; torch ends the processes of a `DataLoader` when nothing refers
 to it any more, and offers averages of many tensors at once to its own optimisers alone.
 tests/factory/common/test_private_apis.py fails first when an update takes one of them away.
@@ -11,8 +12,8 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
 
 
@@ -47,6 +48,24 @@ def _fork_server() -> Any:
     from multiprocessing import forkserver  # `simnfnd --help` must not wait for it
 
     return vars(forkserver)["_forkserver"]
+
+
+@contextmanager
+def children_allowed() -> Iterator[None]:
+    """Let a worker of a pool (of multiprocessing, Celery or Airflow) start processes.
+
+    They are forbidden because a worker that is killed leaves them behind; those of this project
+    and of torch end with their parent.
+    """
+    from multiprocessing import current_process
+
+    settings = vars(current_process())["_config"]
+    is_daemon = settings.pop("daemon", None)
+    try:
+        yield
+    finally:
+        if is_daemon is not None:
+            settings["daemon"] = is_daemon
 
 
 def has_compiled_form(dispatcher: Any, signature: str) -> bool:

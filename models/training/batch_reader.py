@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from ...factory.common.errors import FactoryError
-from ...factory.common.private_apis import end_reading_processes
+from ...factory.common.private_apis import children_allowed, end_reading_processes
 from ..data.crops import LANES, Crops, KeptSource, VisitSampler, concatenate
 from ..data.pairs import Batch, Data
 from ..settings import DataSettings, ModelsSettings, RenderedData
@@ -47,7 +47,8 @@ class BatchReader:
     def after(self, step: int) -> Iterator[Batch]:
         """The batches from a step to the next check."""
         self._visits.step = step
-        return iter(self._batches)
+        with children_allowed():
+            return iter(self._batches)
 
     def close(self) -> None:
         """End the reading processes, which the traceback of an error would keep alive."""

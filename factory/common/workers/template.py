@@ -22,7 +22,7 @@ from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any
 
-from ..private_apis import fork_server_pid, kill_fork_server
+from ..private_apis import children_allowed, fork_server_pid, kill_fork_server
 
 THREAD_VARIABLES = (
     *(f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "NUMEXPR")),
@@ -56,7 +56,7 @@ def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]
     Where no template runs, or it dies or hangs meanwhile, the process is spawned.
     """
     process: BaseProcess
-    with _main_module_hidden():
+    with _main_module_hidden(), children_allowed():
         if forks and runs():
             context = multiprocessing.get_context("forkserver")
             process = context.Process(target=target, args=arguments)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -52,6 +53,15 @@ def test_a_stopped_worker_costs_the_limit_and_some_seconds(tmp_path: Path) -> No
     (failure,) = report.failures
     assert (report.samples, failure.ref.name, failure.kind) == (30, "reef/alpha/0002", "timeout")
     assert "frame_timeout_s=1" in failure.reason
+
+
+def samples_made(folder: Path) -> int:
+    return make(folder, workers=2).samples
+
+
+def test_a_worker_of_a_pool_may_start_workers(tmp_path: Path) -> None:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        assert pool.apply(samples_made, (tmp_path / "dataset",)) == 32
 
 
 @pytest.mark.slow
