@@ -40,8 +40,6 @@ from .base import (
     explained,
     known,
 )
-from .cut_bags import CutBag
-from .cut_database import CutDatabase
 from .images import decoded
 
 if TYPE_CHECKING:
@@ -63,11 +61,11 @@ _ENCODINGS = {
 }
 _DAMAGED = "cannot be read, it is damaged or no bag"
 _REPAIRS = {
-    ".bag": "; `rosbag reindex` repairs the file",
-    ".mcap": "; `mcap recover` repairs the file",
-    ".db3": "; `sqlite3 OLD .recover | sqlite3 NEW` repairs the file",
+    ".bag": "; if it is cut short, `rosbag reindex` repairs the file",
+    ".mcap": "; if it is cut short, `mcap recover` repairs the file",
+    ".db3": "; if it is cut short, `sqlite3 OLD .recover | sqlite3 NEW` repairs the file",
 }
-"""Suffix of a bag -> what to do where it is cut short."""
+"""Suffix of a bag that is one file -> the tool that repairs it."""
 _UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"  # of a type of which only the name is known
 
 
@@ -83,7 +81,6 @@ class RosBag(Recording):
     def __init__(self, path: Path, topics: Sequence[str] = ()) -> None:
         """Raises FactoryError when the bag cannot be read or has no such topics."""
         self._requested = topics
-        self._is_cut = False
         super().__init__(path)
 
     def _open(self) -> None:
@@ -99,11 +96,6 @@ class RosBag(Recording):
         # A message takes a byte at least, whatever the bag says.
         stated = sum(int(connection.msgcount) for connection in chosen)
         self.count = min(stated, sum(file.stat().st_size for file in self._files))
-        if self._is_cut:
-            self.warning = (
-                f"{self.path}: is cut short; its {self.count} whole frames are read"
-                f"{_REPAIRS[self.path.suffix.lower()]}"
-            )
         if self.count < 1:
             raise FactoryError(f"{self.path}: holds no message on {', '.join(self.topics)}")
         self._next = 0
@@ -220,12 +212,7 @@ class RosBag(Recording):
         return self._library.Writer(target, version=8, storage_plugin=plugin)
 
     def _reader(self) -> Any:
-        """The bag, opened once more, as two that read in turns would lose their places.
-
-        Where its index is missing, what is whole of it, and `warning` says so.
-        """
-        if self._is_cut:
-            return self._cut_reader()
+        """The bag, opened once more, as two that read in turns would lose their places."""
         try:
             with explained(f"{self.path}: {_DAMAGED}", reason=True):
                 reader = self._library.Reader(self.path)
@@ -233,19 +220,7 @@ class RosBag(Recording):
                 return reader
         except FrameError as error:
             hint = _REPAIRS.get(self.path.suffix.lower(), "")
-            if self.path.is_file():
-                cut = self._cut_reader()
-                if cut.connections:
-                    self._is_cut = True
-                    return cut
             raise FrameError(f"{error}{hint}") from error
-
-    def _cut_reader(self) -> CutBag | CutDatabase:
-        is_database = self.path.suffix.lower() == ".db3"
-        reader = CutDatabase(self.path) if is_database else CutBag(self.path)
-        with explained(f"{self.path}: {_DAMAGED}", reason=True):
-            reader.open()
-        return reader
 
     def _messages(
         self, connections: Sequence[Connection]
