@@ -42,7 +42,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         arguments.insert(0, default)
     if not arguments or arguments[0] in (*_HELP, "help"):
         return _print(overview())
-    from .factory.common.workers.signals import stop_signals
+    from .factory.common.signals import stop_signals
 
     def run() -> int | None:
         others, folders = take_config_folders(arguments)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
@@ -33,7 +32,7 @@ def refuse_modules_of(room: str) -> None:
     sys.meta_path.insert(0, _Refusal(room))
 
 
-class _Refusal(MetaPathFinder):
+class _Refusal:
     """Raises ImportError for the modules of one room."""
 
     def __init__(self, room: str) -> None:

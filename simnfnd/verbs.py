@@ -129,7 +129,7 @@ VERBS: dict[str, Verb] = {
     ),
     "denoise": Verb(
         DENOISE, "denoise images, videos, datasets, recordings of sonars and bags",
-        "simnfnd.models.denoise.command:main",
+        "simnfnd.models.denoise.options:main",
         (
             "simnfnd denoise outputs/demo --out outputs/denoised",
             "simnfnd denoise dive.aris --out outputs/denoised",

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from simnfnd.factory.common.signals import Interrupted
 from simnfnd.factory.common.workers.settings import SchedulerSettings
-from simnfnd.factory.common.workers.signals import Interrupted
 from simnfnd.factory.dataset.schema import Provenance, config_hash
 from simnfnd.factory.dataset.settings import DatasetSettings
 from simnfnd.factory.production.scheduler.plan import DatasetJob, plan_shards

@@ -7,18 +7,17 @@ is first asked for.
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import re
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cache
-from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from .errors import FactoryError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 Kind = Literal["effect", "reader", "recording", "method", "metric", "preset"]
 GROUPS: dict[Kind, str] = {
@@ -33,8 +32,7 @@ GROUPS: dict[Kind, str] = {
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
-@dataclass(frozen=True)
-class ExtensionSource:
+class ExtensionSource(NamedTuple):
     """Where an extension comes from.
 
     package, version: of the distribution that names it; "" for what a script registers.
@@ -47,8 +45,7 @@ class ExtensionSource:
         return f"{self.package} {self.version}" if self.package else "registered in Python"
 
 
-@dataclass(frozen=True)
-class Extension:
+class Extension(NamedTuple):
     """One object of another package or of the user's code."""
 
     kind: Kind
@@ -73,7 +70,9 @@ def register(kind: Kind, name: str, value: Any, source: ExtensionSource | None =
 
 
 @cache
-def _entry_points(kind: Kind) -> dict[str, metadata.EntryPoint]:
+def _entry_points(kind: Kind) -> dict[str, EntryPoint]:
+    from importlib import metadata  # takes longer than all else that help needs
+
     return {point.name: point for point in metadata.entry_points(group=GROUPS[kind])}
 
 
@@ -142,6 +141,8 @@ def provenance(kind: Kind, name: str) -> dict[str, str]:
 
 def defined_parts(value: Any) -> list[Any]:
     """The functions and classes that an extension's object is made of."""
+    import inspect
+
     parts = [value, *vars(value).values()] if hasattr(value, "__dict__") else [value]
     return [part for part in parts if inspect.isfunction(part) or inspect.isclass(part)]
 
@@ -151,6 +152,8 @@ def source_hash(parts: Iterable[Any]) -> str:
 
     What was typed into an interpreter counts by its names.
     """
+    import hashlib
+
     digest = hashlib.blake2b(digest_size=8)
     for part in parts:
         module = sys.modules.get(part.__module__)

@@ -23,9 +23,10 @@ from ..recordings.base import FULL_SCALE, SonarFrame, colours_of, white_of
 from ..recordings.device_settings import RecordedSettings, settings_of
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from ..recordings.views import polar_geometry
+from .options import FRAMES
 from .removed import Removed
 from .temporal.interleaved import Interleaved
-from .temporal.stream import FRAMES, MOST_FRAMES, InTime, Network, SequenceFrame
+from .temporal.stream import MOST_FRAMES, InTime, Network, SequenceFrame
 from .temporal.strength import Strength
 
 Place = Callable[[Array], FanGeometry | None]

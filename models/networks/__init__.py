@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
-from ...factory.simulation.imaging.effect import ARTEFACTS
+from ...factory.simulation.imaging.artefacts import ARTEFACTS
 
 if TYPE_CHECKING:
     from .network import Network

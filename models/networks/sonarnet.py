@@ -31,7 +31,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...factory.common.settings import STRICT
-from ...factory.simulation.imaging.effect import ARTEFACTS
+from ...factory.simulation.imaging.artefacts import ARTEFACTS
 from . import DEFAULT, GEOMETRY, vector
 from .blend_head import BlendHead
 from .blocks import residual_blocks, zeroed

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from ...common.errors import FactoryError
 from ...common.files import remove_stale_temporaries
+from ...common.signals import Interrupted, stop_signals
 from ...common.workers import Backend, Pool
 from ...common.workers.local import LocalBackend
 from ...common.workers.settings import NOISE, RENDER, WorkerCounts
-from ...common.workers.signals import Interrupted, stop_signals
 from ...dataset.card import write_card
 from ...dataset.folder import open_folder
 from ...dataset.manifest import Manifest, load_manifest

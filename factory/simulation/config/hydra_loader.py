@@ -11,7 +11,6 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -132,6 +131,8 @@ def help_word(command: str, groups: Sequence[str]) -> str:
 
 def _experiments_of_others(command: str) -> set[str]:
     """The experiments that ship whose first comment, the command that runs them, is another's."""
+    from importlib.resources import files
+
     folder = files("simnfnd.conf").joinpath("experiment")
     texts = {Path(file.name).stem: file.read_text(encoding="utf-8") for file in folder.iterdir()}
     return {name for name, text in texts.items() if f"\n# simnfnd {command} " not in text[:200]}

@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass as validated
 from ...common import seeds
 from ...common.distribution import parse
 from ...common.settings import STRICT
+from .artefacts import Artefact
 
 Names = tuple[str | int, ...]
 Rng = np.random.Generator
@@ -21,12 +22,6 @@ Value = float | int | str
 # When an effect acts: on the echoes as points; on the complex field before the device blurs it;
 # after beamforming; after time-varying gain.
 Stage = Literal["points", "echo", "beam", "image"]
-
-# What an effect shows in an image, and what a network can learn to remove: grain that averages
-# out; a level added to the ground; bright beams and arcs; copies of objects at the wrong place;
-# smeared ranges; wrong gains of beams and ranges.
-Artefact = Literal["speckle", "haze", "spokes", "ghosts", "blur", "gains"]
-ARTEFACTS: tuple[Artefact, ...] = ("speckle", "haze", "spokes", "ghosts", "blur", "gains")
 
 Scope = Literal["sample", "recording", "world"]
 

@@ -18,7 +18,8 @@ from ...common.array_types import Float32s
 from ...common.distribution import Distribution
 from ...dataset.frame_ref import FrameRef
 from ..frames.frame import Frame, Intrinsics
-from ..imaging.effect import ARTEFACTS, Effect, EffectSettings, Scope, Stage, Value
+from ..imaging.artefacts import ARTEFACTS
+from ..imaging.effect import Effect, EffectSettings, Scope, Stage, Value
 from ..imaging.expected import Expected
 from ..imaging.settings import CoherentSettings
 from ..imaging.signal import Ping, Signal

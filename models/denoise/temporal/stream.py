@@ -20,13 +20,13 @@ import numpy as np
 from ....factory.common.array_types import Array, Bools
 from ....factory.dataset.fan_geometry import FanGeometry
 from ...recordings.device_settings import RecordedSettings
+from ..options import FRAMES
 from ..saturated import with_saturated
 from .brightness import UNLIKE, Likeness, likeness_of, thumbnail_of
 from .fusion import FusedFrame, Fusion, Neighbour
 from .motion import Aligner, grey_of, laid_over, reduced
 from .strength import Predictors, Strength, Weights
 
-FRAMES = 7
 MOST_FRAMES = 31
 
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved

@@ -191,7 +191,7 @@ def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, 
 
 @pytest.mark.slow
 def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, flsea, capfd):
-    from simnfnd.factory.common.workers.signals import Interrupted
+    from simnfnd.factory.common.signals import Interrupted
     from simnfnd.factory.production.cli import generate
 
     calls = []

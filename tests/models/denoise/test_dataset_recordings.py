@@ -12,7 +12,7 @@ import pytest
 from simnfnd.evaluation.judging.recorded import open_input
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.denoise import shards
-from simnfnd.models.denoise.command import main
+from simnfnd.models.denoise.options import main
 from simnfnd.models.pretrained.learned_files import LearnedFile, known_as
 from simnfnd.models.recordings import is_recording, open_recording
 from tests.models.denoise.untrained import untrained_sonarnet

@@ -14,10 +14,10 @@ from simnfnd.factory.common.errors import FactoryError, FrameError
 from simnfnd.factory.dataset import reader
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.factory.simulation.sonar.settings import SonarSettings
-from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.journal import JOURNAL_NAME
+from simnfnd.models.denoise.options import main
 from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.denoise.shards import opened_shard
 from simnfnd.models.denoise.writers import CAPTION_PX

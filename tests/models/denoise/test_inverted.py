@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.common.array_types import Float32s
-from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.inverted import InvertedReport, has_inverted_scale
+from simnfnd.models.denoise.options import main
 from simnfnd.models.denoise.unchanged import UnchangedReport
 
 LAMPREY = Path(__file__).parents[3] / "examples/didson/lamprey.avi"

@@ -11,7 +11,7 @@ import pytest
 import simnfnd
 from simnfnd.factory.common.array_types import Array
 from simnfnd.models.adapting.stretches import StretchFrame, presented
-from simnfnd.models.denoise.command import main
+from simnfnd.models.denoise.options import main
 from simnfnd.models.recordings.fan_finder import find_geometry
 from tests.models.recordings.fan_images import LEFT, TOP, fan, preset, screen, with_rings
 

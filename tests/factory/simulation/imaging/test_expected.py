@@ -12,8 +12,8 @@ from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.schema import Pair
 from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.frames.frame import Frame
+from simnfnd.factory.simulation.imaging.artefacts import ARTEFACTS
 from simnfnd.factory.simulation.imaging.coherent import CoherentSample
-from simnfnd.factory.simulation.imaging.effect import ARTEFACTS
 from simnfnd.factory.simulation.imaging.expected import Expected, display
 from simnfnd.factory.simulation.imaging.settings import CoherentSettings
 from simnfnd.factory.simulation.noise.registry import EFFECTS
