@@ -31,9 +31,9 @@ _COMPARE = (
 def main(arguments: Sequence[str]) -> int:
     """`simnfnd denoise IN... --out DIR`; 1 when some files were skipped."""
     options = options_of(arguments)
-    from .command import denoise
+    from .command import run
 
-    return denoise(options)
+    return run(options)
 
 
 def options_of(arguments: Sequence[str]) -> argparse.Namespace:
