@@ -276,22 +276,22 @@ def _in_time(report: Mapping[str, Any]) -> Figures:
     """Kind of input -> row -> PSNR and SSIM."""
     figures: Figures = {}
     for row in report["in_time"]:
-        scores = {name: round(row[name], _KEPT_DIGITS) for name in ("psnr_db", "ssim")}
-        figures.setdefault(row["kind"], {})[row["row"]] = scores
+        figures.setdefault(row["kind"], {})[row["row"]] = _kept(row["psnr"], row["ssim"])
     return figures
 
 
 def _single(report: Mapping[str, Any]) -> Figures:
     """Row -> PSNR and SSIM of the best filter and the network; and which filter is the best."""
-    rows = {row["label"]: row["means"] for row in report["rows"] if row["means"]}
-    best = report["best_filter"]["psnr_db"]
-    return {
-        "best": best,
-        **{
-            label: {name: round(rows[label][name], _KEPT_DIGITS) for name in ("psnr_db", "ssim")}
-            for label in (best, "simnfnd")
-        },
-    }
+    metrics = {row["label"]: row["metrics"] for row in report["rows"] if row["lost"] is None}
+    best = report["best_filter"]["psnr"]
+    figures: Figures = {"best": best}
+    for label in (best, "simnfnd"):
+        figures[label] = _kept(*(metrics[label][name]["mean"] for name in ("psnr", "ssim")))
+    return figures
+
+
+def _kept(psnr_db: float, ssim: float) -> Figures:
+    return {"psnr_db": round(psnr_db, _KEPT_DIGITS), "ssim": round(ssim, _KEPT_DIGITS)}
 
 
 def _targets(report: Mapping[str, Any]) -> Figures:

@@ -130,6 +130,7 @@ def judge(
     for recording in recordings:
         rows = rows_of(
             recording.frames,
+            recording.insonified,
             fixed=settings.fixed,
             tuned=baselines_of(settings.baselines),
             networks=networks,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +12,8 @@ from ...factory.common.workers.tasks import TaskPool
 from ..judging.recorded import Stretch, frame_of, open_input
 from ..judging.settings import DetectSettings
 from ..metrics.statistics import FigureEstimate
-from ..report.document import Drawing, Section, write_report
-from ..report.tables import as_markdown, as_table, interval, plain, written
+from ..report.document import Drawing, Section, publish
+from ..report.tables import as_table, figure, plain, written
 from .judge import DetectionOutcome, judge
 from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, MethodFigures
 from .sheet import crop_sheet
@@ -55,12 +54,11 @@ def evaluate(settings: DetectSettings) -> None:
     with TaskPool(settings.workers) as pool:
         outcome = judge(settings, stretches, pool)
     frame_of.cache_clear()
-    print(write(settings, outcome))
-    print(f"report: {settings.folder / 'detect.html'}")
+    write(settings, outcome)
 
 
-def write(settings: DetectSettings, outcome: DetectionOutcome) -> str:
-    """Write the files; returns what the terminal shows."""
+def write(settings: DetectSettings, outcome: DetectionOutcome) -> None:
+    """Write the files and print the table."""
     frame_count = sum(len(twins.with_targets) for twins in outcome.sequences)
     track_count = sum(len(twins.tracks) for twins in outcome.sequences)
     names = ", ".join(dict.fromkeys(twins.name for twins in outcome.sequences))
@@ -80,12 +78,12 @@ def write(settings: DetectSettings, outcome: DetectionOutcome) -> str:
             )
         )
     sections = [
-        Section("Targets", [table]),
+        Section("Targets", [table], printed=True),
         Section("Each class of size and contrast", [class_table(settings, outcome)]),
         Section("Curves and crops", drawings=drawings),
         Section("How it was measured", text=HOW),
     ]
-    write_report(
+    publish(
         settings.folder,
         "detect",
         f"Targets in {names}",
@@ -93,7 +91,6 @@ def write(settings: DetectSettings, outcome: DetectionOutcome) -> str:
         sections,
         facts=_facts(settings, outcome),
     )
-    return f"{about.strip()}\n\n{as_markdown(table)}"
 
 
 def overall_table(outcome: DetectionOutcome) -> pd.DataFrame:
@@ -106,11 +103,11 @@ def overall_table(outcome: DetectionOutcome) -> pd.DataFrame:
     for label, figures in outcome.figures.items():
         overall = figures.overall
         cells = [
-            _with_interval(overall.auc),
-            _with_interval(overall.contrast),
-            _with_interval(overall.detection),
-            _with_interval(overall.detection_gain, sign=True),
-            _with_interval(figures.false_alarms),
+            figure(overall.auc),
+            figure(overall.contrast),
+            figure(overall.detection),
+            figure(overall.detection_gain, sign=True),
+            figure(figures.false_alarms),
             written(outcome.ratios[label]["ratio_correlation"], 3),
         ]
         lines.append([label, *cells])
@@ -132,13 +129,6 @@ def class_table(settings: DetectSettings, outcome: DetectionOutcome) -> pd.DataF
 def _class_cell(figures: ClassFigures) -> str:
     estimates = (figures.auc, figures.contrast, figures.detection)
     return " / ".join(written(estimate.value, 2) for estimate in estimates)
-
-
-def _with_interval(estimate: FigureEstimate, sign: bool = False) -> str:
-    text = written(estimate.value, 3, sign)
-    if math.isfinite(estimate.low):
-        text += f" ({interval(estimate._asdict(), 2, sign)})"
-    return text
 
 
 def _plots(figures: dict[str, MethodFigures]) -> Sequence[Plot]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.denoise.images import Denoising
@@ -16,8 +17,7 @@ from ..filters import REGISTRY, Baseline, Parameters, method_of
 from ..filters.windows import mean_around, registered_mean
 from ..judging import tuning
 from ..judging.methods import Method, network, shown
-from ..metrics.statistics import evenly
-from ..real.in_time import kinds_of, tuned_weight
+from ..real.in_time import static_input, tuning_images
 from .targets import Frames
 
 REACH = 3
@@ -52,6 +52,7 @@ RECORDED = MethodRow("recorded", "recorded")
 
 def rows_of(
     frames: Frames,
+    insonified: Bools,
     *,
     fixed: Sequence[dict[str, Parameters]],
     tuned: Sequence[Baseline],
@@ -60,27 +61,21 @@ def rows_of(
 ) -> list[MethodRow]:
     """All rows of a recording.
 
-    frames: (N, H, W) in 0..1 without targets; filters are tuned on them.
+    frames: (N, H, W) in 0..1 without targets; filters are tuned on them where they are insonified,
+    (H, W) bool.
     fixed: filters with their parameters.  windows: numbers of frames that the networks fuse.
     Raises FactoryError for a filter that does not exist or cannot be tuned.
     """
-    static_kind = next(kinds_of(frames))
-    samples = tuple(
-        tuning.TuningImage(
-            static_kind.frames[number], static_kind.references[number], static_kind.masks[number]
-        )
-        for number in evenly(static_kind.numbers(), _TUNED_ON)
-    )
+    static = static_input(frames, insonified)
+    samples = tuple(tuning_images(static, _TUNED_ON))
     rows = [RECORDED]
     for filters in fixed:
         rows += [_fixed_filter(name, parameters) for name, parameters in filters.items()]
     for baseline in tuned:
-        tuned_parameters = tuning.on_frames(tuning.TuningTask(baseline.name, samples, 0))
-        if isinstance(tuned_parameters, str):
-            raise FactoryError(f"baselines: {baseline.name} cannot be tuned: {tuned_parameters}")
-        rows.append(MethodRow(f"{baseline.name}, tuned", "filter", baseline.name, tuned_parameters))
+        parameters = _tuned(baseline.name, samples)
+        rows.append(MethodRow(f"{baseline.name}, tuned", "filter", baseline.name, parameters))
     window = 2 * REACH + 1
-    tv_parameters = {"weight": tuned_weight([static_kind])}
+    tv_parameters = _tuned("tv", tuple(tuning_images(static, _TUNED_ON, REACH)))
     rows.append(MethodRow(f"mean of {window}", "mean"))
     rows.append(
         MethodRow(f"registered mean of {window} + TV", "registered mean", "tv", tv_parameters)
@@ -93,6 +88,14 @@ def rows_of(
                 MethodRow(label, "network", weights=method.weights or "", frames=frame_count)
             )
     return rows
+
+
+def _tuned(name: str, samples: tuple[tuning.TuningImage, ...]) -> Parameters:
+    """The best parameters of a filter.  Raises FactoryError where it fails."""
+    parameters = tuning.on_frames(tuning.TuningTask(name, samples))
+    if isinstance(parameters, str):
+        raise FactoryError(f"baselines: {name} cannot be tuned: {parameters}")
+    return parameters
 
 
 def _fixed_filter(name: str, parameters: Parameters) -> MethodRow:

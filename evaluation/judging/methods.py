@@ -30,9 +30,9 @@ class Method:
 
     name: of the baseline in the registry, or of a network.
     form: '', 'tuned', '+ levels' or 'tuned + levels'.
+    folds: parameters for the subjects of each fold, where they differ.
     weights: of a network, else None.
-    images_source: of a row that is no function: the folder of another program's images, or a
-        word that its subjects know; else ''.
+    images_source: the folder of another program's images; else ''.
     ablation: which row of the paper's Table 3 a network is, or ''.
     """
 
@@ -43,6 +43,11 @@ class Method:
     weights: str | None = None
     ablation: str = ""
     images_source: str = ""
+    folds: tuple[Parameters, ...] = ()
+
+    def parameters_of(self, fold: int) -> Parameters:
+        """The parameters for the subjects of a fold."""
+        return self.folds[fold] if self.folds else self.parameters
 
     @property
     def label(self) -> str:
@@ -63,7 +68,7 @@ class Method:
     def output(self) -> str:
         """Equal for rows that differ in their levels alone, so that they share the filtering."""
         source = self.images_source or self.weights or self.name
-        return f"{source} {sorted(self.parameters.items())}"
+        return f"{source} {self.form if self.folds else sorted(self.parameters.items())}"
 
 
 NOISY = Method("identity", "", {})

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import sha256_of
 from ...factory.dataset.manifest import load_manifest
@@ -25,7 +26,7 @@ from ..metrics.fidelity import MetricError, finite_psnr
 from ..metrics.measure import Figures, Grey, MeasuredPair, PairImages, sector_of
 from ..metrics.own import own_figures
 from .methods import Method
-from .runner import Subject
+from .runner import Denoised, ImageSubject
 from .settings import ImagesFolder
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ Place = tuple[str, int]
 
 
 @dataclass(frozen=True)
-class JudgedPair(Subject):
+class JudgedPair(ImageSubject):
     """One pair: where it is, what it shows, and what is measured of it.
 
     split, number: as `simnfnd export --to png` names it.
@@ -68,16 +69,18 @@ class JudgedPair(Subject):
         """Where range and bearing are, as the dataset says."""
         return geometry_of(self.place)
 
-    def read_denoised(self, method: Method) -> Grey:
-        """See `Subject`."""
+    def denoise(self, method: Method, device: str) -> Denoised:
+        """See `Subject`; another program's image is read."""
+        if not method.images_source:
+            return super().denoise(method, device)
         image = read_external_image(Path(method.images_source), names_of(self))
         if image.shape != (shape := self.noisy_image().shape):
             sizes = ["x".join(map(str, reversed(size))) for size in (image.shape, shape)]
             name = names_of(self)[0]
             raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
-        return image
+        return Denoised(image)
 
-    def measure(self, image: Grey) -> Figures:
+    def measure(self, image: Array) -> Figures:
         """All metrics; identical images count as the PSNR of `finite_psnr`."""
         try:
             scene = _scene(self)

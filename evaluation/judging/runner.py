@@ -1,20 +1,23 @@
 """The engine of every report: methods on images, measured on worker processes.
 
-    methods x images -> run() -> Measured: a table of one row for each method and image
+    methods x subjects -> run() -> Measured: a table of one row for each method and subject
 
-A report brings its images (`Subject`) with what is measured on them; whatever it then says is
-computed from the table.
+A report brings its images or sequences (`Subject`) with what is measured on them; whatever it then
+says is computed from the table.
 """
 
 from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from statistics import median
+from typing import TYPE_CHECKING, NamedTuple
 
+from ...factory.common.array_types import Array
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ..filters import checked, method_of
 from ..metrics.measure import Figures, Grey
@@ -29,24 +32,70 @@ SECONDS = "cpu_s"
 """Column of the seconds of a method on an image: of the CPU, elapsed ones where a GPU works."""
 
 
-class Subject:
-    """An image that methods are judged on; it travels to the workers."""
+class Subject(ABC):
+    """What methods are judged on, such as an image or a sequence; it travels to the workers.
 
+    fold: which of a method's parameters are used, so that no subject chose them.
+    """
+
+    fold: int = 0
+
+    @property
+    def images(self) -> int:
+        """Number of images in it, for the time limit."""
+        return 1
+
+    @abstractmethod
+    def load(self) -> None:
+        """Read what methods get.  Raises FactoryError, which ends the report, for damaged files."""
+
+    @abstractmethod
+    def denoise(self, method: Method, device: str) -> Denoised:
+        """Run a method; whatever it raises costs the method its row."""
+
+    @abstractmethod
+    def measure(self, image: Array) -> Figures:
+        """The figures of a denoised subject.  Raises FactoryError for a damaged one."""
+
+
+class ImageSubject(Subject):
+    """A single image that methods are judged on."""
+
+    @abstractmethod
     def noisy_image(self) -> Grey:
         """(H, W) in 0..1.  Raises FactoryError for a damaged image."""
-        raise NotImplementedError
 
     def geometry(self) -> FanGeometry | None:
         """Where range and bearing are; None where nothing says so."""
         return None
 
-    def read_denoised(self, method: Method) -> Grey:
-        """What another program made of it.  Raises FactoryError where there is nothing."""
-        raise NotImplementedError
+    def load(self) -> None:
+        """See `Subject`."""
+        self.noisy_image()
 
-    def measure(self, image: Grey) -> Figures:
-        """The figures of a denoised image.  Raises FactoryError for a damaged subject."""
-        raise NotImplementedError
+    def denoise(self, method: Method, device: str) -> Denoised:
+        """See `Subject`; seconds are of the CPU, elapsed ones where a GPU works."""
+        image = self.noisy_image()
+        clock = time.process_time  # what other processes take does not count
+        if method.weights is None:
+            start = clock()
+            result = method_of(method.name)(image, method.parameters_of(self.fold))
+            return Denoised(result, clock() - start)
+        loaded = network(method.weights, device)  # before the clock runs
+        geometry = self.geometry() if loaded.runtime.extras else None
+        if loaded.runtime.on_gpu:
+            clock = time.perf_counter  # a processor that waits for a GPU seems idle
+        start = clock()
+        result = loaded(image, geometry)
+        seconds = clock() - start
+        return Denoised(checked(method.name, result, image), seconds)
+
+
+class Denoised(NamedTuple):
+    """What a method made of a subject, in 0..1, and its seconds; NaN where nobody took them."""
+
+    image: Array
+    seconds: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +154,23 @@ class Measured:
         ]
         return pd.DataFrame(rows, columns=None if rows else ["method", "picture"])
 
-    def wide(self) -> dict[str, pd.DataFrame]:
-        """Figure -> its values of each image (rows, in order) by each method (columns)."""
-        table = self.table().set_index(["picture", "method"])
+    def wide(self, groups: Sequence[int] | None = None) -> dict[str, pd.DataFrame]:
+        """Figure -> its values of each image (rows, in order) by each method (columns).
+
+        groups: (images,) number of the group of each image, whose means are taken, infinite values
+        left out; None: each image alone.
+        """
+        table = self.table()
+        if groups is not None:
+            table["picture"] = [groups[number] for number in table["picture"]]
+            finite = table.replace([math.inf, -math.inf], math.nan)
+            table = finite.groupby(["picture", "method"], as_index=False).mean()
+        table = table.set_index(["picture", "method"])
         return {str(name): table[name].unstack("method") for name in table}
+
+    def median_seconds(self, label: str) -> float:
+        """Median time of a method for an image; the first one loads and compiles."""
+        return median(figures[SECONDS] for figures in self.figures[label].values())
 
 
 def run(
@@ -135,7 +197,8 @@ def run(
     measured = Measured({method.label: {} for method in methods})
 
     def limit_s(task: JudgingTask) -> float:
-        runs = len(task.subjects) * len({method.output for method in task.methods})
+        images = sum(subject.images for subject in task.subjects.values())
+        runs = images * len({method.output for method in task.methods})
         return timeout_s * runs
 
     for batch in batches:
@@ -187,7 +250,7 @@ def measure_task(task: JudgingTask) -> list[MethodResult]:
     Raises FactoryError for a damaged image.
     """
     results = []
-    outputs: dict[str, dict[int, tuple[Grey, float]] | str] = {}
+    outputs: dict[str, dict[int, Denoised] | str] = {}
     for method in task.methods:
         if method.output not in outputs:
             outputs[method.output] = _applied(method, task)
@@ -206,36 +269,13 @@ def measure_task(task: JudgingTask) -> list[MethodResult]:
     return results
 
 
-def _applied(method: Method, task: JudgingTask) -> dict[int, tuple[Grey, float]] | str:
-    """The method's image of each subject without levels, (H, W) in 0..1, and its seconds.
-
-    Seconds are NaN where another program took them.  Or why the method failed.  Raises FactoryError
-    for a damaged subject.
-    """
+def _applied(method: Method, task: JudgingTask) -> dict[int, Denoised] | str:
+    """What the method makes of each subject, without levels; or why it failed."""
     results = {}
     for number, subject in task.subjects.items():
-        noisy = None if method.images_source else subject.noisy_image()
+        subject.load()
         try:
-            if noisy is None:
-                results[number] = subject.read_denoised(method), math.nan
-            else:
-                results[number] = _timed(method, subject, noisy, task.device)
+            results[number] = subject.denoise(method, task.device)
         except Exception as error:  # a method that crashes loses its row, not the report
             return reason(error)
     return results
-
-
-def _timed(method: Method, subject: Subject, image: Grey, device: str) -> tuple[Grey, float]:
-    clock = time.process_time  # what other processes take does not count
-    if method.weights is None:
-        start = clock()
-        result = method_of(method.name)(image, method.parameters)
-        return result, clock() - start
-    loaded = network(method.weights, device)  # before the clock runs
-    geometry = subject.geometry() if loaded.runtime.extras else None
-    if loaded.runtime.on_gpu:
-        clock = time.perf_counter  # a processor that waits for a GPU seems idle
-    start = clock()
-    result = loaded(image, geometry)
-    seconds = clock() - start
-    return checked(method.name, result, image), seconds

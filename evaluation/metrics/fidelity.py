@@ -16,26 +16,24 @@ import numpy as np
 
 from ...factory.common.array_types import Array, Bools, Float64s
 from ...factory.common.errors import FactoryError
-from ...factory.dataset.quality import RADIUS_PX, SsimReference, inner
-
-PSNR_CAP_DB = 100.0
-"""What a pair of identical images (infinite PSNR) counts as in a mean; see `finite_psnr`."""
+from ...factory.dataset.quality import (
+    PSNR_CAP_DB,
+    RADIUS_PX,
+    SsimReference,
+    decibels,
+    gradient_magnitude,
+    gradient_similarity,
+    halved,
+    inner,
+)
 
 SSIM_SMALLEST = 2 * RADIUS_PX + 1
 """Pixels a side: the window of SSIM must fit once."""
 
-GMSD_C = 170.0
-"""Constant of Xue et al. 2014, for grey values 0..255."""
-GMSD_SMALLEST = 6
-"""Pixels a side of the pooled GMSD: three blocks for Prewitt's kernel."""
-
 MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """Exponents of the five scales, the finest first (Wang et al. 2003, section 3.2)."""
-MS_SSIM_SMALLEST = 176
+MS_SSIM_SMALLEST = SSIM_SMALLEST << (len(MS_SSIM_WEIGHTS) - 1)
 """Pixels a side: the 11-pixel window must still fit into the fifth scale."""
-
-_STEP = np.array([1.0, 0.0, -1.0])
-_THIRD = np.full(3, 1 / 3)
 
 
 class MetricError(FactoryError, ValueError):
@@ -91,18 +89,26 @@ class Reference:
         self._ssim = SsimReference(image, data_range)
 
     def ssim_map(self, image: Float64s) -> Float64s:
-        """(H, W) local structural similarity."""
+        """(H, W) local structural similarity; Gaussian window of sigma 1.5."""
         luminance, structure = self._ssim.terms(image)
         return np.asarray(luminance * structure)
 
     def ms_ssim(self, image: Float64s) -> float:
-        """See the function of this name."""
+        """Multi-scale SSIM in 0..1, 1 = identical (Wang, Simoncelli and Bovik 2003).
+
+        Product over five scales of the mean contrast-structure term to the power MS_SSIM_WEIGHTS;
+        the coarsest scale has the luminance term, too.  Only windows that fit wholly count; between
+        scales the mean of 2x2 blocks, an odd last row or column left out.  A negative mean counts
+        as 0, because it has no real power.  NaN below MS_SSIM_SMALLEST pixels a side.
+        """
+        if min(image.shape) < MS_SSIM_SMALLEST:
+            return math.nan
         reference = self
         product = 1.0
         for scale, weight in enumerate(MS_SSIM_WEIGHTS):
             if scale:
                 reference = reference._halved
-                image = _halved(image)
+                image = halved(_even_part(image))
             luminance, structure = reference._ssim.terms(image)
             last = scale == len(MS_SSIM_WEIGHTS) - 1
             terms = luminance * structure if last else structure
@@ -110,16 +116,16 @@ class Reference:
         return product
 
     def gms_map(self, image: Float64s, *, pooled: bool = True) -> Float64s:
-        """(H, W) or (ceil(H/2), ceil(W/2)) gradient magnitude similarity."""
-        own_gradients = self._own_gradients[pooled]
-        image_gradients = self._gradients(image, pooled)
-        return np.asarray(
-            (2 * own_gradients * image_gradients + GMSD_C)
-            / (image_gradients * image_gradients + (own_gradients * own_gradients + GMSD_C))
-        )
+        """(H, W), or (ceil(H/2), ceil(W/2)) if pooled: gradient magnitude similarity."""
+        return gradient_similarity(self._own_gradients[pooled], self._gradients(image, pooled))
 
     def edges_kept(self, image: Float64s, mask: Bools | None = None) -> float:
-        """See `edge_preservation`."""
+        """Edge preservation index beta in -1..1, 1 = the edges of the clean image.
+
+        The correlation of both images' high-pass parts, by the 3x3 Laplacian of four neighbours,
+        the border of one pixel left out (Sattar et al. 1997).  It ignores gain and offset, so it
+        sees edges and not brightness.  NaN when either image has no edge at all.
+        """
         inside = np.zeros(image.shape, dtype=bool)
         inside[1:-1, 1:-1] = True
         if mask is not None:
@@ -136,7 +142,7 @@ class Reference:
 
     @cached_property
     def _halved(self) -> Reference:
-        return Reference(_halved(self.image), self.data_range)
+        return Reference(halved(_even_part(self.image)), self.data_range)
 
     @cached_property
     def _laplacian(self) -> Float64s:
@@ -147,29 +153,16 @@ class Reference:
         return self._gradients(self.image, False), self._gradients(self.image, True)
 
     def _gradients(self, image: Float64s, pooled: bool) -> Float64s:
-        """Length of the gradient by Prewitt's kernels divided by 3, zeros beyond the border."""
         grey = image * (255.0 / self.data_range)
-        if pooled:
-            grey = _mean_of_blocks(grey)
-        parts = [
-            cv2.sepFilter2D(grey, cv2.CV_64F, along, down, borderType=cv2.BORDER_CONSTANT)
-            for along, down in ((_STEP, _THIRD), (_THIRD, _STEP))
-        ]
-        return np.asarray(cv2.magnitude(parts[0], parts[1]), dtype=np.float64)
+        return gradient_magnitude(halved(grey) if pooled else grey)
 
 
 def psnr(reference: Array, image: Array, *, data_range: float, mask: Bools | None = None) -> float:
     """Peak signal-to-noise ratio in dB, 10 log10(data_range^2 / MSE); inf for identical images."""
     a, b = checked_pair(reference, image, data_range)
     squared = np.square(a - b)
-    return decibels(
-        float(np.mean(squared if mask is None else squared[checked_mask(mask, a)])), data_range
-    )
-
-
-def decibels(squared_error: float, data_range: float) -> float:
-    """The PSNR in dB that a mean squared error stands for; inf for none."""
-    return math.inf if squared_error == 0 else 10 * math.log10(data_range**2 / squared_error)
+    chosen = squared if mask is None else squared[checked_mask(mask, a)]
+    return decibels(float(np.mean(chosen)), data_range)
 
 
 def finite_psnr(value_db: float) -> float:
@@ -177,18 +170,13 @@ def finite_psnr(value_db: float) -> float:
     return min(value_db, PSNR_CAP_DB)
 
 
-def ssim_map(reference: Array, image: Array, *, data_range: float) -> Float64s:
-    """(H, W) local structural similarity; Gaussian window of sigma 1.5, population covariance."""
-    a, b = checked_pair(reference, image, data_range, smallest=SSIM_SMALLEST)
-    return Reference(a, data_range).ssim_map(b)
-
-
 def ssim(reference: Array, image: Array, *, data_range: float, mask: Bools | None = None) -> float:
     """Mean structural similarity (Wang et al. 2004), the border of 5 pixels left out.
 
     It is scikit-image's with gaussian_weights=True, sigma=1.5, use_sample_covariance=False.
     """
-    return mean_ssim(ssim_map(reference, image, data_range=data_range), mask)
+    a, b = checked_pair(reference, image, data_range, smallest=SSIM_SMALLEST)
+    return mean_ssim(Reference(a, data_range).ssim_map(b), mask)
 
 
 def mean_ssim(similarity: Float64s, mask: Bools | None = None) -> float:
@@ -201,62 +189,19 @@ def mean_ssim(similarity: Float64s, mask: Bools | None = None) -> float:
     return float(inner(similarity)[chosen].mean())
 
 
-def ms_ssim(reference: Array, image: Array, *, data_range: float) -> float:
-    """Multi-scale SSIM in 0..1, 1 = identical (Wang, Simoncelli and Bovik 2003).
-
-    Product over five scales of the mean contrast-structure term to the power MS_SSIM_WEIGHTS; the
-    coarsest scale has the luminance term, too.  Window: Gaussian, sigma 1.5, 11 pixels, only where
-    it fits wholly; between scales the mean of 2x2 blocks, an odd last row or column left out.  A
-    negative mean counts as 0, because it has no real power.  MetricError below MS_SSIM_SMALLEST
-    pixels a side.
-    """
-    a, b = checked_pair(reference, image, data_range, smallest=MS_SSIM_SMALLEST)
-    return Reference(a, data_range).ms_ssim(b)
-
-
-def gmsd(
-    reference: Array,
-    image: Array,
-    *,
-    data_range: float,
-    pooled: bool = True,
-    mask: Bools | None = None,
-) -> float:
-    """Gradient magnitude similarity deviation, 0 = identical (Xue et al. 2014).
-
-    Grey values are put on the 0..255 scale that the constant c = 170 belongs to.  `pooled` takes
-    the mean of 2x2 blocks first, as the authors' program does; without it the formula is used as
-    printed.  Beyond the border all is 0, as in conv2 'same'.
-    """
-    a, b = checked_pair(reference, image, data_range, smallest=GMSD_SMALLEST if pooled else 3)
-    similarity = Reference(a, data_range).gms_map(b, pooled=pooled)
-    return deviation(similarity, None if mask is None else checked_mask(mask, a), pooled=pooled)
-
-
 def deviation(similarity: Float64s, mask: Bools | None = None, *, pooled: bool = True) -> float:
     """The GMSD of a `gms_map`: its population standard deviation, over `mask` when one is given.
 
-    mask: of the whole image; a pooled block counts when most of its pixels are in the mask.
+    0: identical images (Xue et al. 2014).  pooled: whether the map is of 2x2 blocks, as the
+    authors' program has it; without, the formula is used as printed.  mask: of the whole image; a
+    block counts when most of its pixels are in the mask.
     """
     if mask is None:
         return float(similarity.std())
-    chosen = _mean_of_blocks(mask.astype(np.float64)) > 0.5 if pooled else mask
+    chosen = halved(mask.astype(np.float64)) > 0.5 if pooled else mask
     if not chosen.any():
         raise MetricError("mask has no block of pixels; GMSD is undefined")
     return float(similarity[chosen].std())
-
-
-def edge_preservation(
-    reference: Array, image: Array, *, data_range: float, mask: Bools | None = None
-) -> float:
-    """Edge preservation index beta in -1..1, 1 = the edges of the clean image.
-
-    The correlation of both images' high-pass parts, by the 3x3 Laplacian of four neighbours, the
-    border of one pixel left out (Sattar et al. 1997).  It ignores gain and offset, so it sees edges
-    and not brightness.  NaN when either image has no edge at all.
-    """
-    a, b = checked_pair(reference, image, data_range, smallest=3)
-    return Reference(a, data_range).edges_kept(b, None if mask is None else checked_mask(mask, a))
 
 
 def shadow_iou(
@@ -276,10 +221,10 @@ def shadow_iou(
     return 1.0 if union == 0 else int((truth & dark).sum()) / union
 
 
-def shadow_residual(shadow: Bools, image: Array, *, data_range: float) -> float:
-    """Mean of `image` inside the true shadow as a fraction of the range; NaN without a shadow."""
+def shadow_residual(shadow: Bools, image: Array) -> float:
+    """Mean of `image`, in 0..1, inside the true shadow; NaN without a shadow."""
     inside = image[shadow].astype(np.float64)
-    return float(inside.mean() / data_range) if inside.size else math.nan
+    return float(inside.mean()) if inside.size else math.nan
 
 
 def false_light_rate(shadow: Bools, image: Array, *, threshold: float) -> float:
@@ -288,15 +233,7 @@ def false_light_rate(shadow: Bools, image: Array, *, threshold: float) -> float:
     return float((inside > threshold).mean()) if inside.size else math.nan
 
 
-def _halved(values: Float64s) -> Float64s:
-    """Means of 2x2 blocks, an odd last row or column left out."""
+def _even_part(values: Float64s) -> Float64s:
+    """The image without an odd last row or column."""
     height, width = (size // 2 * 2 for size in values.shape)
-    return _mean_of_blocks(values[:height, :width])
-
-
-def _mean_of_blocks(grey: Float64s) -> Float64s:
-    """Mean of 2x2 blocks; an odd size is filled up with a row or column of zeros."""
-    height, width = grey.shape
-    even = np.pad(grey, ((0, height % 2), (0, width % 2)))
-    rows = even[0::2] + even[1::2]
-    return np.asarray((rows[:, 0::2] + rows[:, 1::2]) * 0.25)
+    return values[:height, :width]

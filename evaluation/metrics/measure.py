@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from ...factory.common.array_types import Array, Bools, Float32s, Float64s, Floats, Int64s
@@ -18,6 +20,42 @@ Grey = Float32s
 Figures = dict[str, float]
 """Metric -> value; NaN where it does not exist.  `_fan`: inside the sonar's sector alone."""
 
+
+class Metric(NamedTuple):
+    """How tables show a metric.
+
+    label: name with the unit.  digits: digits after the point.
+    better: 1 where high values are better, -1 where low ones are, 0 where neither is.
+    """
+
+    label: str
+    digits: int = 3
+    better: int = 0
+
+
+METRICS = {
+    "psnr": Metric("PSNR, dB", 2, 1),
+    "ssim": Metric("SSIM", 3, 1),
+    "gmsd": Metric("GMSD", 3, -1),
+    "psnr_fan": Metric("PSNR fan only, dB", 2, 1),
+    "ssim_fan": Metric("SSIM fan only", 3, 1),
+    "gmsd_fan": Metric("GMSD fan only", 3, -1),
+    "shadow_iou": Metric("shadow IoU", 3, 1),
+    "shadow_residual": Metric("shadow residual", 4, -1),
+    "false_light_rate": Metric("false-light rate", 3, -1),
+    "gmsd_unpooled": Metric("GMSD as printed", 3, -1),
+    "ms_ssim": Metric("MS-SSIM", 3, 1),
+    "edge_preservation": Metric("edges", 3, 1),
+    "enl": Metric("ENL", 2),
+    "cnr": Metric("CNR", 2, 1),
+    "ratio_mean": Metric("ratio mean"),
+    "ratio_variance": Metric("ratio variance"),
+    "ratio_correlation": Metric("ratio correlation"),
+}
+"""Metrics of a pair, in the order of the tables.
+
+ENL rewards blur, and doing nothing leaves a perfect ratio image: neither ranks methods alone."""
+
 SHADOW = 0.02
 """A pixel counts as shadow at or below this fraction of full scale."""
 SIDE = 16
@@ -25,6 +63,8 @@ SIDE = 16
 _DARK = 0.01  # of full scale: below, a ratio says nothing
 _BEYOND_GRAIN = 4
 """Pixels over which a ratio image is compared with itself: grain of sonars is narrower."""
+_MEDIAN_PX = 15  # window of the median filter that separates dark from bright ground
+_DARK_SHARE = 0.1  # darkest part of the sector
 _NO_POWER = 1e-20  # of a ratio image: less is rounding
 
 
@@ -100,7 +140,6 @@ class MeasuredPair:
         squared = np.square(reference.image - values)
         similarity = reference.ssim_map(values)
         gradients = reference.gms_map(values)
-        large = min(values.shape) >= metrics.MS_SSIM_SMALLEST
         return {
             "psnr": metrics.decibels(float(squared.mean()), 1.0),
             "ssim": metrics.mean_ssim(similarity),
@@ -111,10 +150,10 @@ class MeasuredPair:
             "shadow_iou": metrics.shadow_iou(
                 pair.shadow, image, threshold=SHADOW, sector=pair.sector
             ),
-            "shadow_residual": metrics.shadow_residual(pair.shadow, image, data_range=1.0),
+            "shadow_residual": metrics.shadow_residual(pair.shadow, image),
             "false_light_rate": metrics.false_light_rate(pair.shadow, image, threshold=SHADOW),
             "gmsd_unpooled": metrics.deviation(reference.gms_map(values, pooled=False)),
-            "ms_ssim": reference.ms_ssim(values) if large else math.nan,
+            "ms_ssim": reference.ms_ssim(values),
             "edge_preservation": reference.edges_kept(values, pair.sector),
             "enl": enl(values, self._zones),
             "cnr": contrast_to_noise(
@@ -127,6 +166,55 @@ class MeasuredPair:
     def _zones(self) -> Int64s:
         """The even zones of the clean image, the same for all methods."""
         return homogeneous_zones(self.pair.clean, data_range=1.0, sector=self.pair.sector)
+
+
+class MeasuredImage:
+    """A noisy image of a real sonar, and its regions, in which all outputs are measured.
+
+    sector: (H, W) bool, the insonified part.  dark, bright: (H, W) bool, dark and bright ground.
+    """
+
+    def __init__(self, noisy: Grey, sector: Bools) -> None:
+        """Raises MetricError for an image that is black or too small."""
+        if min(noisy.shape) < SIDE or not sector.any() or not noisy[sector].any():
+            raise metrics.MetricError(f"black, or smaller than {SIDE} pixels")
+        self.noisy = noisy
+        self.sector = sector
+        levels = np.rint(np.clip(noisy, 0, 1) * 255).astype(np.uint8)
+        smooth = cv2.medianBlur(levels, _MEDIAN_PX)
+        # Near the edge of the sector the median sees black that is no shadow.
+        window = np.ones((_MEDIAN_PX, _MEDIAN_PX), np.uint8)
+        inner = cv2.erode(sector.astype(np.uint8), window).astype(bool)
+        if not inner.any():
+            inner = sector
+        low, middle = np.quantile(smooth[inner], (_DARK_SHARE, 0.5))
+        self.dark = inner & (smooth <= low)
+        self.bright = inner & (smooth > max(low, middle))
+        self._reference = metrics.Reference(noisy.astype(np.float64), 1.0)
+        self._zones = homogeneous_zones(noisy, data_range=1.0, sector=sector)
+
+    def figures(self, image: Grey) -> Figures:
+        """The figures without a truth of an image, (H, W) in 0..1; NaN where one is undefined."""
+        _, values = metrics.checked_pair(self.noisy, image, 1.0)
+        return {
+            "enl": enl(image, self._zones),
+            "cnr": contrast_to_noise(image, self.bright, self.dark),
+            "edges_kept": self._reference.edges_kept(values, self.sector),
+            **ratio_figures(self.noisy, image, self.sector),
+        }
+
+
+def likeness(image: Grey, reference: Grey, mask: Bools, *, levels: bool = True) -> Figures:
+    """PSNR (dB) and SSIM of an image against its reference where the mask is.
+
+    levels: whether one gain and offset is fitted first.
+    """
+    if levels:
+        image = fit_levels([(image[mask], reference[mask])])(image)
+    return {
+        "psnr": metrics.finite_psnr(metrics.psnr(reference, image, data_range=1.0, mask=mask)),
+        "ssim": metrics.ssim(reference, image, data_range=1.0, mask=mask),
+    }
 
 
 def homogeneous_zones(

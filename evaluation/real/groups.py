@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from ...factory.common.array_types import Bools
-from ...factory.common.errors import FrameError
+from ...factory.common.array_types import Array, Bools
+from ...factory.common.errors import FactoryError, FrameError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.denoise.temporal.like_frames import LikeFrames
 from ...models.recordings.fan_finder import find_geometry
@@ -19,7 +19,9 @@ from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.repeats import CopyFinder
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
 from ..judging.recorded import RecordedImage, Stretch, outline
-from ..metrics.measure import Grey
+from ..judging.runner import ImageSubject
+from ..metrics.fidelity import MetricError
+from ..metrics.measure import Figures, Grey, MeasuredImage, likeness
 from ..metrics.statistics import evenly
 
 LEAST = 6
@@ -61,15 +63,48 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class ReferencedFrame:
-    """A frame with its nearly noise-free reference, (H, W) each; None without one."""
+class JudgedFrame(ImageSubject):
+    """An image with its nearly noise-free reference, (H, W) each; None without one.
+
+    group: number of its static group.  fold: by filters that were tuned in the other.
+    """
 
     group: int | None
     shot: RecordedImage
     noisy: Grey
     reference: Grey | None
     mask: Bools
-    geometry: FanGeometry | None
+    known: FanGeometry | None
+    fold: int = 0
+
+    def noisy_image(self) -> Grey:
+        """See `ImageSubject`."""
+        return self.noisy
+
+    def geometry(self) -> FanGeometry | None:
+        """See `ImageSubject`."""
+        return self.known
+
+    def measure(self, image: Array) -> Figures:
+        """Likeness to the reference, if there is one, and the figures without a truth."""
+        figures = self.regions.figures(image)
+        if self.reference is None:
+            return figures
+        alike = likeness(image, self.reference, self.mask)
+        return {**alike, "gain_db": alike["psnr"] - self._noisy_psnr_db, **figures}
+
+    @cached_property
+    def regions(self) -> MeasuredImage:
+        """What all methods are measured in.  Raises FactoryError for an unusable image."""
+        try:
+            return MeasuredImage(self.noisy, self.mask)
+        except MetricError as error:
+            raise FactoryError(f"{self.shot.path}: {error}; take it out") from error
+
+    @cached_property
+    def _noisy_psnr_db(self) -> float:
+        assert self.reference is not None
+        return likeness(self.noisy, self.reference, self.mask)["psnr"]
 
 
 class Searched(NamedTuple):
@@ -181,7 +216,9 @@ def parts_of(groups: Sequence[Group]) -> list[GroupPart]:
     return parts
 
 
-def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[ReferencedFrame]:
+def judged(
+    number: int, group: Group, places: Sequence[int], fold: int = 0
+) -> Iterator[JudgedFrame]:
     """The frames at these places of a group, each with the mean of the others as its reference."""
     frames = [shot.read()[0] for shot in group.shots]
     static = StaticGroup(tuple(range(len(frames))), group.shifts_px)
@@ -190,14 +227,14 @@ def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Referen
         laid = laid_over(frames, static, place, others)
         reference = np.asarray(np.mean(laid, axis=0, dtype=np.float64), np.float32)
         shot = group.shots[place]
-        yield ReferencedFrame(number, shot, frames[place], reference, group.mask, group.geometry)
+        yield JudgedFrame(number, shot, frames[place], reference, group.mask, group.geometry, fold)
 
 
-def alone(shot: RecordedImage) -> ReferencedFrame:
+def alone(shot: RecordedImage) -> JudgedFrame:
     """An image of no group: without a reference."""
     noisy, geometry = shot.read()
     geometry = geometry or find_geometry(noisy)
-    return ReferencedFrame(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
+    return JudgedFrame(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
 
 
 def sector_of(image: Grey, geometry: FanGeometry | None) -> Bools:

@@ -1,252 +1,274 @@
 """Recordings of a static scene, judged in time: as they are, moving, with a ghost.
 
-A denoiser may use the frames up to `AWAY` before and after each; the reference is the mean of
-frames further away, whose noise it has not seen.  Three kinds of input are made of the same real
-frames, none of them interpolated, so that the noise stays the sonar's own:
+Every second frame is input, and the mean of the frames between is the truth: a denoiser may use as
+many input frames as it likes without having seen the noise of the truth.  Three kinds of input are
+made of the same real frames, none of them interpolated, so that the noise stays the sonar's own:
 
 static  the frames as they are;
 moving  a window that travels over them by whole pixels, as if the sonar moved;
-ghost   the frames as they are, and over them a bright speckled thing that swims.  It must stay
+ghost   the frames as they are, and over them a bright speckled body that swims.  It must stay
         where it is, as bright and sharp as a single frame shows it, without a trail.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-import cv2
 import numpy as np
 
-from ...factory.common.array_types import Array, Bools
+from ...factory.common.array_types import Array, Bools, Floats
+from ...factory.common.errors import FactoryError
 from ...factory.common.progress import progress_bar
-from ...factory.common.workers.tasks import TaskLost, TaskPool
-from ...models.denoise.temporal.stream import InTime, Network, SequenceFrame
-from ..filters import REGISTRY
-from ..filters.windows import mean_around, registered_mean
-from ..judging.methods import Method, network
+from ...factory.common.workers.tasks import TaskPool
+from ...models.denoise.temporal.stream import FRAMES
+from ..filters import Parameters
+from ..filters.windows import mean_around
+from ..judging.methods import Method, shown
+from ..judging.runner import Denoised, Measured, Subject, run
+from ..judging.sequences import SequenceMethod, denoise_frames
 from ..judging.settings import RealSettings
-from ..metrics.fidelity import psnr, ssim_map
-from ..metrics.measure import Grey, Levels, fit_levels
-from ..metrics.statistics import estimate
-from .groups import Group, nearest
+from ..judging.tuning import TuningImage, TuningTask, on_frames
+from ..metrics.measure import Figures, Grey, likeness
+from ..metrics.statistics import estimate, evenly
+from .groups import LEAST, MOST_FRAMES, MOST_OTHERS, Group, nearest
 
 if TYPE_CHECKING:
     import pandas as pd
 
-AWAY = 3
-FAR = 15
-"""Frames up to so far from one are a denoiser's; those beyond, up to so far, make the reference."""
-LEAST_FRAMES = 12
-WEIGHTS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
-"""Weights of the total variation that are tried."""
-
-_OF_NETWORK = ("one frame", "fused and denoised")  # the other rows are there once
-_LIMIT_S = 3600.0  # for a recording and a network
-
-_LIT = 8 / 255
-_MOVED_SHARE = 0.05  # of the scene, the part that changes most in time, is left out
-_WINDOW = 0.6  # of the height and width, in `moving`
-_FASTEST = (4.0, 3.0)  # pixels per frame, down and right
-_SWIMS = 6.0
-_LENGTH = 12.0
-_WIDTH = 3.5
+_WINDOW_SHARE = 0.6  # of the height and width, in `moving`
+_WINDOW_PX = 4.0  # longest step of the window from one input frame to the next
+_SWIM_PX = 6.0  # longest step of the ghost
+_BODY_PX = 6.0  # radius of the ghost, which is as bright as `_LEVEL`
 _LEVEL = 0.75
-_GRAIN = 0.09
-_WAKE_PX = 10
 
 
 @dataclass(frozen=True, eq=False)
-class JudgedInput:
+class JudgedInput(Subject):
     """One kind of input with what it is judged by.
 
     frames, references: (N, H, W) float32 in 0..1.  masks: (N, H, W), which pixels count.
     levels: whether one gain and offset is fitted before a frame is judged.
+    fold: number of the recording.
     """
 
-    name: str
+    kind: str
     frames: Grey
     references: Grey
     masks: Bools
     levels: bool = True
+    fold: int = 0
 
-    def numbers(self, step: int = 1) -> range:
-        """The frames that are judged: they have a whole window."""
-        return range(AWAY + 1, len(self.frames) - AWAY - 1, step)
+    @property
+    def images(self) -> int:
+        """See `Subject`."""
+        return len(self.frames)
 
-    def score(self, number: int, image: Grey) -> dict[str, float]:
-        """PSNR (dB) and SSIM of a frame that was made, where its mask is."""
-        mask = self.masks[number]
-        truth = self.references[number]
-        levels = fit_levels([(image[mask], truth[mask])]) if self.levels else Levels(1, 0)
-        image = levels(image)
-        return {
-            "psnr_db": psnr(truth, image, data_range=1, mask=mask),
-            "ssim": float(ssim_map(truth, image, data_range=1)[mask].mean()),
-        }
+    def load(self) -> None:
+        """See `Subject`; the frames are there."""
+
+    def denoise(self, method: Method, device: str) -> Denoised:
+        """See `Subject`."""
+        assert isinstance(method, SequenceMethod)
+        return Denoised(denoise_frames(method, self.frames, device, self.fold))
+
+    def measure(self, image: Array) -> Figures:
+        """Mean PSNR (dB) and SSIM of the frames (N, H, W), where their masks are."""
+        scores = [
+            likeness(frame, reference, mask, levels=self.levels)
+            for frame, reference, mask in zip(image, self.references, self.masks, strict=True)
+        ]
+        return {name: float(np.mean([score[name] for score in scores])) for name in scores[0]}
 
 
-def kinds_of(frames: Grey, seed: int = 0) -> Iterator[JudgedInput]:
-    """The three kinds of one recording.
+def static_input(frames: Grey, mask: Bools, fold: int = 0) -> JudgedInput:
+    """Every second frame of a static scene, and as truth the mean of the frames between.
 
-    frames: (N, H, W) float32 in 0..1, of a static scene; `LEAST_FRAMES` at least.
+    frames: (N, H, W) float32 in 0..1.  mask: (H, W) bool, the pixels that count.
     """
-    references, masks = _references(frames)
-    static = JudgedInput("static", frames, references, masks)
+    inputs = frames[::2]
+    between = frames[1::2]
+    references = np.stack([
+        between[nearest(len(between), number, MOST_OTHERS)].mean(axis=0)
+        for number in range(len(inputs))
+    ])  # fmt: skip
+    return JudgedInput("static", inputs, references, np.stack([mask] * len(inputs)), fold=fold)
+
+
+def kinds_of(static: JudgedInput, seed: int = 0) -> Iterator[JudgedInput]:
+    """The three kinds of one recording."""
     yield static
     yield _moving(static, np.random.default_rng([seed, 1]))
     yield _ghost(static, np.random.default_rng([seed, 2]))
 
 
-def rows_of(
-    judged: JudgedInput, network: Network, weight: float
-) -> dict[str, Callable[[int], Grey]]:
-    """Row -> what it makes of a frame.  weight: of the total variation."""
-    fused, denoised = (_in_time(judged.frames, model) for model in (None, network))
-    tv = REGISTRY["tv"]
-
-    def mean(number: int) -> Grey:
-        return mean_around(judged.frames, number, AWAY)
-
-    def registered(number: int) -> Grey:
-        return registered_mean(judged.frames, number, AWAY)
-
-    return {
-        "one frame": lambda number: network(judged.frames[number], None),
-        "fused": lambda number: fused[number],
-        "fused and denoised": lambda number: denoised[number],
-        "mean of 7": mean,
-        "mean of 7 + tuned TV": lambda number: tv(mean(number), {"weight": weight}),
-        "registered mean of 7 + tuned TV": lambda number: tv(
-            registered(number), {"weight": weight}
-        ),
-    }
-
-
-def tuned_weight(others: Sequence[JudgedInput], step: int = 8) -> float:
-    """The weight of total variation that is best for means of 7 of other recordings."""
-    tv = REGISTRY["tv"]
-    means = [
-        (judged, number, mean_around(judged.frames, number, AWAY))
-        for judged in others
-        for number in judged.numbers(step)
-    ]
-
-    def gain(weight: float) -> float:
-        scores = [
-            judged.score(number, tv(mean, {"weight": weight})) for judged, number, mean in means
-        ]
-        return float(np.mean([each["psnr_db"] for each in scores]))
-
-    return max(WEIGHTS, key=gain)
-
-
-def _in_time(frames: Grey, network: Network | None) -> list[Grey]:
-    """Fused, and denoised where there is a network."""
-    shots = (SequenceFrame(number, frame) for number, frame in enumerate(frames))
-    return [image for _, image in InTime(network)(shots)]
-
-
-def _references(frames: Grey) -> tuple[Grey, Bools]:
-    """For each frame the mean of those far away, and where the scene is lit and static."""
-    count = len(frames)
-    lit = cv2.GaussianBlur(frames.mean(axis=0), (0, 0), 2) > _LIT
-    references = np.empty_like(frames)
-    masks = np.empty(frames.shape, bool)
-    for number in range(count):
-        apart = np.abs(np.arange(count) - number)
-        references[number] = frames[(apart > AWAY) & (apart <= FAR)].mean(axis=0)
-        change = np.abs(
-            cv2.GaussianBlur(frames[apart <= AWAY].mean(axis=0), (0, 0), 2)
-            - cv2.GaussianBlur(references[number], (0, 0), 2)
-        )
-        limit = np.quantile(change[lit], 1 - _MOVED_SHARE) if lit.any() else 0
-        masks[number] = lit & (change < limit)
-    return references, masks
+def _path(room: Floats, longest_px: float, count: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Places (2,) of a smooth random way from the middle of a room (2,), whose walls reflect."""
+    place = room / 2
+    speed = rng.uniform(-1, 1, 2) * longest_px
+    for _ in range(count):
+        yield place
+        speed = np.clip(speed + rng.normal(0, longest_px / 8, 2), -longest_px, longest_px)
+        speed = np.where((place + speed < 0) | (place + speed > room), -speed, speed)
+        place = np.clip(place + speed, 0, room)
 
 
 def _moving(static: JudgedInput, rng: np.random.Generator) -> JudgedInput:
     """A window of part of the frame on a smooth random way, whole pixels per frame."""
     count, *sides = static.frames.shape
-    size = np.array([int(side * _WINDOW) // 8 * 8 for side in sides])
-    room = np.array(sides) - size
-    fastest = np.array(_FASTEST)
-    place = room / 2
-    speed = rng.uniform(-1, 1, 2) * fastest
+    size = (np.array(sides) * _WINDOW_SHARE).astype(int)
     windows = []
-    for _ in range(count):
+    for place in _path(np.array(sides) - size, _WINDOW_PX, count, rng):
         top, left = np.rint(place).astype(int)
         windows.append((slice(top, top + size[0]), slice(left, left + size[1])))
-        speed = np.clip(speed + rng.normal(0, 0.5, 2), -fastest, fastest)
-        speed = np.where((place + speed < 0) | (place + speed > room), -speed, speed)
-        place = np.clip(place + speed, 0, room)
 
     def cut(planes: Array) -> Array:
         return np.stack([plane[window] for plane, window in zip(planes, windows, strict=True)])
 
-    return JudgedInput("moving", cut(static.frames), cut(static.references), cut(static.masks))
+    planes = (cut(static.frames), cut(static.references), cut(static.masks))
+    return JudgedInput("moving", *planes, fold=static.fold)
 
 
 def _ghost(static: JudgedInput, rng: np.random.Generator) -> JudgedInput:
-    """A bright body with a grain of its own, weaving down the middle of the frame."""
-    _, height, width = static.frames.shape
+    """A bright round body with the relative noise of the recording; judged at it and its wake."""
+    count, height, width = static.frames.shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
     frames = static.frames.copy()
     references = static.references.copy()
     masks = np.zeros_like(static.masks)
-    wake = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _WAKE_PX + 1,) * 2)
-    for number in range(len(frames)):
-        swum = _SWIMS * number
-        right = x - (0.5 + 0.12 * np.sin(swum / (0.12 * width))) * width
-        down = y - (0.35 * height + (0.8 * swum) % (0.4 * height))
-        along = 0.34 * right + 0.94 * down
-        across = 0.94 * right - 0.34 * down
-        body = np.exp(-(((along / _LENGTH) ** 2 + (across / _WIDTH) ** 2) ** 2)).astype(np.float32)
-        grain = cv2.GaussianBlur(rng.normal(0, 1, (height, width)).astype(np.float32), (0, 0), 0.7)
-        body_grain = _LEVEL + _GRAIN * grain / grain.std()
-        frames[number] = np.clip(frames[number] * (1 - body) + body_grain * body, 0, 1)
+    lit = static.masks[0]
+    noise = (frames - references)[:, lit].std() / max(references[:, lit].mean(), 1e-6)
+    margin_px = 2 * _BODY_PX
+    room = np.maximum(np.array([height, width]) - 2 * margin_px, 0)
+    for number, (down, right) in enumerate(_path(room, _SWIM_PX, count, rng)):
+        distance = np.hypot(y - down - margin_px, x - right - margin_px)
+        body = np.exp(-((distance / _BODY_PX) ** 4))
+        grain = _LEVEL * (1 + noise * rng.normal(0, 1, (height, width)))
+        frames[number] = np.clip(frames[number] * (1 - body) + grain * body, 0, 1)
         references[number] = references[number] * (1 - body) + _LEVEL * body
-        masks[number] = cv2.dilate((body > 0.1).astype(np.uint8), wake) > 0
+        masks[number] = distance < margin_px
     frames = np.rint(frames * 255) / np.float32(255)
-    return JudgedInput("ghost", frames, references, masks, levels=False)
+    return JudgedInput("ghost", frames, references, masks, levels=False, fold=static.fold)
+
+
+def tuning_images(
+    static: JudgedInput, most: int = MOST_FRAMES, reach: int = 0
+) -> list[TuningImage]:
+    """Evenly spread frames to tune a filter on, or the means of frames within reach of each."""
+    return [
+        TuningImage(
+            mean_around(static.frames, number, reach),
+            static.references[number],
+            static.masks[number],
+        )
+        for number in evenly(range(static.images), most)
+    ]
+
+
+class Judgement(NamedTuple):
+    """What a report says of recordings in time.
+
+    table: a line for each recording, kind of input and row.  notes: what was tuned on what, and
+    which rows are lost.
+    """
+
+    table: pd.DataFrame
+    notes: list[str]
 
 
 def judged_in_time(
     settings: RealSettings, groups: Sequence[Group], networks: Sequence[Method], pool: TaskPool
-) -> tuple[pd.DataFrame, list[str]]:
-    """The rows of every static recording, by each network; none without either.
+) -> Judgement:
+    """The rows of every static recording, by each network; none without either."""
+    recordings = [group for group in groups if _is_recording(group)] if settings.in_time else []
+    if not recordings or not networks:
+        return _judgement([], Measured(), [])
+    statics = [
+        static_input(_frames(group, settings.in_time), group.mask, number)
+        for number, group in enumerate(recordings)
+    ]
+    parameters, notes = _tuned(recordings, statics)
+    methods = _methods_of(networks, parameters)
+    subjects = [kind for static in statics for kind in kinds_of(static)]
+    with progress_bar(total=len(methods) * len(subjects), unit="row", desc="in time") as bar:
+        bar.refresh()  # the first recording may take minutes
+        measured = run(
+            methods,
+            ({number: subject} for number, subject in enumerate(subjects)),
+            pool,
+            device=settings.device,
+            timeout_s=settings.image_timeout_s,
+            tick=bar.update,
+        )
+    notes += [f"{label}: not judged in time ({reason})" for label, reason in measured.lost.items()]
+    names = [(recordings[kind.fold].name, kind.kind, kind.images) for kind in subjects]
+    return _judgement(names, measured, notes)
 
-    Returns a line for each recording, kind of input and row: means over the judged frames; and
-    notes: what was tuned on what, and what was left out.
-    """
+
+def _judgement(
+    names: Sequence[tuple[str, str, int]], measured: Measured, notes: list[str]
+) -> Judgement:
+    """names: recording, kind and number of frames of each subject."""
     import pandas as pd
 
-    recordings = [group for group in groups if _is_recording(group)] if settings.in_time else []
-    waiting = deque(
-        (number, recordings, method, settings.device, settings.in_time)
-        for number in range(len(recordings))
-        for method in networks
-    )
-    columns = ["number", *_Score._fields]
-    if not waiting:
-        return pd.DataFrame(columns=columns[1:]), []
+    subjects = pd.DataFrame(names, columns=["recording", "kind", "frames"])
+    table = measured.table().join(subjects, on="picture").rename(columns={"method": "row"})
+    columns = ["recording", "kind", "row", "frames", "psnr", "ssim"]
+    return Judgement(table.sort_values("picture", kind="stable").reindex(columns=columns), notes)
 
-    rows = []
+
+def _methods_of(networks: Sequence[Method], tv: tuple[Parameters, ...]) -> list[SequenceMethod]:
+    """The rows: of each network, and those that need none."""
+    mean = f"mean of {FRAMES}"
+    methods = []
+    for model in networks:
+        for name, how in (("one frame", "single"), ("fused and denoised", "fusion")):
+            label = f"{model.label}: {name}"
+            methods.append(
+                SequenceMethod(label, "", {}, weights=model.weights, how=how, window=FRAMES)
+            )
+    return [
+        *methods,
+        SequenceMethod("fused", "", {}, how="fusion", window=FRAMES),
+        SequenceMethod(mean, "", {}, how="mean", window=FRAMES),
+        SequenceMethod(
+            f"{mean} + tuned TV", "", {}, folds=tv, how="mean", window=FRAMES, after="tv"
+        ),
+        SequenceMethod(
+            f"registered {mean} + tuned TV", "", {}, folds=tv, how="registered mean",
+            window=FRAMES, after="tv",
+        ),
+    ]  # fmt: skip
+
+
+def _tuned(
+    recordings: Sequence[Group], statics: Sequence[JudgedInput]
+) -> tuple[tuple[Parameters, ...], list[str]]:
+    """Parameters of the total variation for each recording, tuned on the others; and notes.
+
+    A single recording is tuned on its first half and judged as a whole, which its note states.
+    """
+    parameters = []
     notes = []
-    with progress_bar(total=len(waiting), unit="recording", desc="in time") as bar:
-        bar.refresh()  # the first recording may take minutes
-        for (number, _, method, *_), result in pool.run(_judged, waiting, lambda _: _LIMIT_S):
-            bar.update()
-            if isinstance(result, TaskLost):
-                name = f"{recordings[number].name}, {method.label}"
-                notes.append(f"{name}: not judged in time ({result.reason})")
-            else:
-                rows += [(number, *score) for score in result.scores]
-                notes.append(result.note)
-    table = pd.DataFrame(rows, columns=columns).drop_duplicates(["number", "kind", "row"])
-    return table.drop(columns="number"), list(dict.fromkeys(notes))
+    for static, group in zip(statics, recordings, strict=True):
+        others = [other for other in statics if other is not static]
+        tuned_on = ", ".join(other.name for other in recordings if other is not group)
+        samples = [
+            sample
+            for other in others
+            for sample in tuning_images(other, MOST_FRAMES // len(others) or 1, FRAMES // 2)
+        ]
+        if not others:
+            half = static.images // 2
+            samples = tuning_images(static, static.images, FRAMES // 2)[:half]
+            tuned_on = f"the first {half} input frames of itself"
+        tuned = on_frames(TuningTask("tv", tuple(samples)))
+        if isinstance(tuned, str):
+            raise FactoryError(f"{group.name}: total variation cannot be tuned: {tuned}")
+        parameters.append(tuned)
+        notes.append(f"{group.name}: tuned TV{shown(tuned)}, tuned on {tuned_on}")
+    return tuple(parameters), notes
 
 
 def wide(table: pd.DataFrame, *, resamples: int, seed: int) -> pd.DataFrame:
@@ -256,76 +278,25 @@ def wide(table: pd.DataFrame, *, resamples: int, seed: int) -> pd.DataFrame:
     """
 
     def cell(scores: pd.DataFrame) -> str:
-        psnr_db = estimate(
-            scores["psnr_db"].to_numpy(float),
-            list(scores["recording"]),
-            resamples=resamples,
-            seed=seed,
-        )
-        between = f" ({psnr_db.low:.2f} .. {psnr_db.high:.2f})" if psnr_db.count > 1 else ""
-        return f"{psnr_db.mean:.2f}{between} / {scores['ssim'].mean():.3f}"
+        psnr_db = scores["psnr"].to_numpy(float)
+        mean = estimate(psnr_db, list(scores["recording"]), resamples=resamples, seed=seed)
+        between = f" ({mean.low:.2f} .. {mean.high:.2f})" if mean.count > 1 else ""
+        return f"{mean.mean:.2f}{between} / {scores['ssim'].mean():.3f}"
 
-    text = table.groupby(["row", "kind"], sort=False)[["recording", "psnr_db", "ssim"]].apply(cell)
+    text = table.groupby(["row", "kind"], sort=False)[["recording", "psnr", "ssim"]].apply(cell)
     cells = text.unstack("kind").loc[table["row"].unique(), table["kind"].unique()]
     cells.columns = [f"{kind}, dB / SSIM" for kind in cells.columns]
     return cells.rename_axis("row").reset_index()
 
 
-class _Score(NamedTuple):
-    """Means over the frames of a recording of a row; the names of its fields are columns."""
-
-    recording: str
-    kind: str
-    row: str
-    frames: int
-    psnr_db: float
-    ssim: float
-
-
-class _Judgement(NamedTuple):
-    """Scores of all rows on a recording, and a line that says what was tuned on what."""
-
-    scores: list[_Score]
-    note: str
-
-
-def _judged(task: tuple[int, list[Group], Method, str, int]) -> _Judgement:
-    """Judge a network, and what needs none, on one recording."""
-    number, recordings, method, device, most = task
-    group = recordings[number]
-    frames = _frames(group, most)
-    others = [recording for recording in recordings if recording is not group]
-    tuning = [next(kinds_of(_frames(recording, most))) for recording in others]
-    tuned_on = ", ".join(recording.name for recording in others)
-    if not others:
-        # A single recording is tuned on its first half and judged as a whole, which a note states.
-        half = frames[: max(len(frames) // 2, LEAST_FRAMES)]
-        tuning = [next(kinds_of(half))]
-        tuned_on = f"the first {len(half)} frames of itself"
-    weight = tuned_weight(tuning)
-    denoiser = network(method.weights or "", device)
-    scores = []
-    for kind in kinds_of(frames):
-        for name, make in rows_of(kind, denoiser, weight).items():
-            frame_scores = [kind.score(number, make(number)) for number in kind.numbers()]
-            label = f"{method.label}: {name}" if name in _OF_NETWORK else name
-            psnr_db, similarity = (
-                float(np.mean([score[key] for score in frame_scores]))
-                for key in ("psnr_db", "ssim")
-            )
-            frame_count = len(frame_scores)
-            scores.append(_Score(group.name, kind.name, label, frame_count, psnr_db, similarity))
-    return _Judgement(scores, f"{group.name}: tuned TV has weight {weight:g}, tuned on {tuned_on}")
-
-
 def _is_recording(group: Group) -> bool:
     """Whether its frames follow each other in one file, and are enough."""
     one_file = len({shot.path for shot in group.shots}) == 1
-    return one_file and len(group.shots) >= LEAST_FRAMES
+    return one_file and len(group.shots) >= 2 * LEAST
 
 
 def _frames(group: Group, most: int) -> Grey:
     """(N, H, W) frames of a recording in their order, those in its middle."""
     shots = sorted(group.shots, key=lambda shot: shot.number)
-    chosen = nearest(len(shots), len(shots) // 2, max(most, LEAST_FRAMES))
+    chosen = nearest(len(shots), len(shots) // 2, max(most, 2 * LEAST))
     return np.stack([shots[number].read()[0] for number in chosen])

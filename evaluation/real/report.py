@@ -1,41 +1,31 @@
-"""The report on real images: real.json, real.md and real.html."""
+"""The report on real images: real.json, real.md, real.html and results.csv."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from ...factory.common.files import check_writable
 from ...factory.common.workers.tasks import TaskPool
-from ..judging.methods import shown
 from ..judging.recorded import frame_of, open_input
 from ..judging.runner import SECONDS
 from ..judging.settings import RealSettings
-from ..report.document import ComparedImages, Section, write_report
-from ..report.tables import Metric, as_markdown, as_table, interval, written
+from ..metrics.measure import METRICS, Metric
+from ..report.document import ComparedImages, Section, publish, write_files
+from ..report.tables import (
+    Content,
+    difference_column,
+    has,
+    mean_column,
+    table_of,
+    with_interval,
+    written,
+)
 from .groups import MOST, MOST_OTHERS
 from .in_time import wide
-from .judge import MARGINS, RealOutcome, ReportRow, judge
+from .judge import RealOutcome, judge
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-COLUMNS = {
-    "psnr_db": Metric("PSNR, dB", 2, 1),
-    "ssim": Metric("SSIM", 3, 1),
-    "gain_db": Metric("gain, dB", 2, 1),
-    "margin_db": Metric("ahead of the best filter, dB", 2, 1),
-    "margin_ssim": Metric("ahead of it, SSIM", 3, 1),
-    "enl": Metric("ENL", 2, 0),
-    "cnr": Metric("CNR dark ground", 3, 1),
-    "edges_kept": Metric("edges kept", 3, 0),
-    "ratio_mean": Metric("ratio mean", 3, 0),
-    "ratio_variance": Metric("ratio variance", 3, 0),
-    "ratio_correlation": Metric("ratio correlation", 3, 0),
-    SECONDS: Metric("CPU s an image", 3, -1),
-}
-_SIGNED = {"gain_db", *MARGINS.values()}
-_WITH_INTERVAL = {"psnr_db", "ssim", *MARGINS.values()}
+_RATIOS = ("ratio_mean", "ratio_variance", "ratio_correlation")
 
 TRUTH = (
     f"The truth of a frame is the mean of the other frames of its group (of the {MOST_OTHERS} "
@@ -44,11 +34,11 @@ TRUTH = (
     "groups. Filters are tuned on every other group and judged on the others. CPU s: the median."
 )
 IN_TIME = (
-    "A method may use the three frames before and after each; the reference is the mean of frames "
-    "further away. static: the frames as they are; moving: a window that travels by whole pixels; "
-    "ghost: over them a bright speckled object, judged where it is. Means over recordings, with 95 "
-    "% bootstrap intervals that draw recordings. Registered: shifted by whole pixels to the peak "
-    "of the phase correlation."
+    "Every second frame is input; the reference is the mean of the frames between, so a method may "
+    "use a window of any length. static: the frames as they are; moving: a window that travels by "
+    "whole pixels; ghost: over them a bright speckled object, judged where it is. Means over "
+    "recordings, with 95 % bootstrap intervals that draw recordings. Registered: shifted by whole "
+    "pixels to the peak of the phase correlation."
 )
 RULE = (
     "None of the figures without a truth ranks methods alone: blur raises ENL and CNR, and doing "
@@ -64,98 +54,92 @@ def evaluate(settings: RealSettings) -> None:
     with TaskPool(settings.workers) as pool:
         outcome = judge(settings, stretches, pool)
     frame_of.cache_clear()
-    print(write(settings, [*notes, *outcome.notes], outcome))
-    print(f"report: {settings.folder / 'real.html'}")
+    write(settings, [*notes, *outcome.notes], outcome)
 
 
-def write(settings: RealSettings, notes: Sequence[str], outcome: RealOutcome) -> str:
-    """Write the three files; returns what the terminal shows: the notes, tables and verdict.
-
-    FactoryError when the folder cannot be written to.
-    """
+def write(settings: RealSettings, notes: Sequence[str], outcome: RealOutcome) -> None:
+    """Write the files and print the tables.  FactoryError when the folder cannot be written to."""
     warnings = [note for note in notes if note.startswith("warning: ")]
     others = [note for note in notes if note not in warnings]
-    judged = f"{len(outcome.files)} images judged"
+    judged = f"{len(outcome.shots)} images judged"
     about = " ".join(f"{'; '.join(lines)}." for lines in (warnings, [judged, *others]) if lines)
     rules = (TRUTH, RULE) if outcome.groups else (RULE,)
-    table = table_of(outcome.rows)
-    verdict = _verdict(outcome)
+    best = dict.fromkeys(f"`{label}`" for label in outcome.best.values())
+    verdict = f"The best filter (PSNR, SSIM): {', '.join(best)}." if best else ""
     title = "Figures" if outcome.groups else "Figures without a truth"
-    sections = [Section(title, [table], [verdict])]
-    texts = [about, as_markdown(table), verdict]
-    if not outcome.in_time.empty:
-        in_time = wide(outcome.in_time, resamples=settings.bootstrap, seed=settings.seed)
-        sections.append(Section("In time", [in_time], [IN_TIME]))
-        texts += ["In time:", as_markdown(in_time)]
-    facts = {
-        "schema": "simnfnd-real/2",
-        "name": settings.name,
-        "files": outcome.files,
-        "groups": [
-            {
-                "name": group.name,
-                "frames": [shot.name for shot in group.shots],
-                "judged": [group.shots[place].name for place in part.judged],
-                "fold": part.fold,
-                "largest_shift_px": group.largest_px,
-                "judged_share_of_sector": group.still,
-                "geometry": "unknown" if group.geometry is None else group.geometry.layout,
-            }
-            for group, part in zip(outcome.groups, outcome.parts, strict=True)
-        ],
-        "best_filter": outcome.best,
-        "in_time": outcome.in_time.to_dict(orient="records"),
-        "notes": notes,
-        "rows": outcome.rows,
-        "rules": rules,
-    }
-    write_report(
+    sections = [
+        Section(title, [table_of(outcome.rows, _columns(outcome.rows))], [verdict], printed=True)
+    ]
+    in_time = outcome.in_time.table
+    if not in_time.empty:
+        table = wide(in_time, resamples=settings.bootstrap, seed=settings.seed)
+        sections.append(Section("In time", [table], [IN_TIME], printed=True))
+    publish(
         settings.folder,
         "real",
         f"Real sonar: {settings.name}",
         about,
         [*sections, Section("How to read them", text=rules)],
-        facts=facts,
+        facts={
+            "schema": "simnfnd-real/3",
+            "name": settings.name,
+            "files": [shot.name for shot in outcome.shots],
+            "groups": _groups(outcome),
+            "best_filter": outcome.best,
+            "in_time": in_time.to_dict(orient="records"),
+            "notes": notes,
+            "rows": outcome.rows,
+            "rules": rules,
+        },
         examples=_examples(outcome),
     )
-    return "\n\n".join(filter(None, texts))
+    results = outcome.measured.table()
+    results.insert(1, "file", [outcome.shots[number].name for number in results["picture"]])
+    text = results.drop(columns=["picture"]).to_csv(index=False, lineterminator="\n")
+    write_files(settings.folder, {"results.csv": text})
 
 
-def table_of(rows: Sequence[ReportRow]) -> pd.DataFrame:
-    """The means as text, a line a method."""
-    names = [name for name in COLUMNS if any(row["means"].get(name) is not None for row in rows)]
-    lines = []
-    for row in rows:
-        cells = [_cell(row, name) for name in names]
-        if row["lost"] is not None:
-            cells = [f"lost: {row['lost']}", *[""] * len(names[1:])]
-        lines.append([_words(row), *cells])
-    return as_table(["method", *(COLUMNS[name].label for name in names)], lines)
+def _columns(rows: Sequence[Content]) -> dict[str, Callable[[Content], str]]:
+    """Head -> cell of a row: likeness to the truth where there is one, and figures without it."""
+    columns: dict[str, Callable[[Content], str]] = {}
+    if has(rows, "psnr"):
+        for name in ("psnr", "ssim"):
+            columns[METRICS[name].label] = mean_column(name, METRICS[name], bounds=True)
+        columns["gain, dB"] = lambda row: written(row["metrics"]["gain_db"]["mean"], 2, True)
+        for name, head, digits in (
+            ("psnr", "ahead of the best filter, dB", 2),
+            ("ssim", "ahead of it, SSIM", 3),
+        ):
+            columns[head] = difference_column("against_best", name, _margin(digits))
+    without_truth = {
+        "enl": METRICS["enl"],
+        "cnr": Metric("CNR dark ground"),
+        "edges_kept": Metric("edges kept"),
+        **{name: METRICS[name] for name in _RATIOS},
+    }
+    columns |= {metric.label: mean_column(name, metric) for name, metric in without_truth.items()}
+    columns["CPU s an image"] = lambda row: written(row[SECONDS], 3)
+    return columns
 
 
-def _words(row: ReportRow) -> str:
-    """The label, and the parameters of each fold."""
-    chosen = dict.fromkeys(
-        shown(parameters).strip(" ()") for parameters in row["parameters"] if parameters
-    )
-    return str(row["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
+def _margin(digits: int) -> Callable[[Mapping[str, Any]], str]:
+    return lambda difference: with_interval(difference, digits, True)
 
 
-def _cell(row: ReportRow, name: str) -> str:
-    """A figure as text, with its interval where it has one."""
-    digits = COLUMNS[name].digits
-    signed = name in _SIGNED
-    text = written(row["means"].get(name), digits, signed)
-    if name in _WITH_INTERVAL and name in row["intervals"]:
-        low, high = row["intervals"][name]
-        text += f" ({interval({'low': low, 'high': high}, digits, signed)})"
-    return text
-
-
-def _verdict(outcome: RealOutcome) -> str:
-    """Which filters are the best."""
-    best = dict.fromkeys(f"`{label}`" for label in outcome.best.values())
-    return f"The best filter (PSNR, SSIM): {', '.join(best)}." if best else ""
+def _groups(outcome: RealOutcome) -> list[dict[str, Any]]:
+    """The static groups as plain data."""
+    return [
+        {
+            "name": group.name,
+            "frames": [shot.name for shot in group.shots],
+            "judged": [group.shots[place].name for place in part.judged],
+            "fold": part.fold,
+            "largest_shift_px": group.largest_px,
+            "judged_share_of_sector": group.still,
+            "geometry": "unknown" if group.geometry is None else group.geometry.layout,
+        }
+        for group, part in zip(outcome.groups, outcome.parts, strict=True)
+    ]
 
 
 def _examples(outcome: RealOutcome) -> list[ComparedImages]:
@@ -167,12 +151,15 @@ def _examples(outcome: RealOutcome) -> list[ComparedImages]:
         name = judged.shot.name
         if judged.group is not None:
             name = f"{outcome.groups[judged.group].name}: {name}"
-        alive = [label for label in measured.figures if label not in measured.lost]
-        known = [label for label in alive if (label, number) in measured.images]
-        images = {label: measured.images[label, number] for label in known}
+        labels = [
+            label
+            for label in measured.figures
+            if label not in measured.lost and (label, number) in measured.images
+        ]
+        images = {label: measured.images[label, number] for label in labels}
         if judged.reference is None:
             examples.append(ComparedImages(name, images))
             continue
-        psnr = {label: measured.figures[label][number]["psnr_db"] for label in known}
-        examples.append(ComparedImages(name, {**images, truth: judged.reference}, psnr, truth))
+        psnr_db = {label: measured.figures[label][number]["psnr"] for label in labels}
+        examples.append(ComparedImages(name, {**images, truth: judged.reference}, psnr_db, truth))
     return examples

@@ -25,8 +25,8 @@ from ..judging.settings import Grid, RealismSettings
 from ..metrics.features import FEATURES, features_of
 from ..metrics.measure import Grey
 from ..metrics.statistics import evenly
-from ..report.document import ComparedImages, Section, write_report
-from ..report.tables import as_markdown, as_table, plain, written
+from ..report.document import ComparedImages, Section, publish
+from ..report.tables import as_table, plain, written
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,10 +73,9 @@ def evaluate(settings: RealismSettings) -> None:
     out = Path(settings.out or Path("outputs", "realism", next(iter(measured))))
     title = f"Simulated against real: {real.name}"
     about = ", ".join(f"{count} images of {name}" for name, count in counts.items())
-    sections = [Section("Distances", [shown], [_RULE, *notes])]
+    sections = [Section("Distances", [shown], [_RULE, *notes], printed=True)]
     examples = _examples_of(collections, settings.grid)
-    write_report(out, "realism", title, f"{about}.", sections, facts=facts, examples=examples)
-    print(*notes, as_markdown(shown), f"report: {out / 'realism.html'}", sep="\n")
+    publish(out, "realism", title, f"{about}.", sections, facts=facts, examples=examples)
 
 
 def _examples_of(collections: Mapping[str, Collection], grid: Grid) -> list[ComparedImages]:

@@ -29,7 +29,7 @@ from ..judging.settings import EvaluationSettings
 from ..metrics.own import refuse_metrics_of_scripts
 from . import tables
 from .content import best_forms, content_of, shown_rows, verdict
-from .document import ComparedImages, Section, write_report
+from .document import ComparedImages, Section, publish
 from .tables import Content
 
 PAGE_NAME = "report.html"
@@ -90,20 +90,14 @@ def _image_facts(item: JudgedPair) -> dict[str, str | None]:
 
 
 def _write(out: Path, content: Content, examples: Sequence[ComparedImages]) -> None:
-    """Write the report, and print its leaderboard and where the page is."""
+    """Write the report and print its leaderboard."""
     facts = content["facts"]
     title = f"Report: {facts['dataset']}, {facts['split']} split"
     about = (
         f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} scene(s) "
         f"({facts['image']}; config {facts['config_hash'] or 'unknown'})."
     )
-    sections = sections_of(content)
-    write_report(out, "report", title, about, sections, facts=content, examples=examples)
-
-    leaderboard = sections[0]
-    paragraphs = ["", tables.as_markdown(leaderboard.tables[0]), *filter(None, leaderboard.text)]
-    print(*paragraphs, sep="\n\n")
-    print(f"report: {out / PAGE_NAME}")
+    publish(out, "report", title, about, sections_of(content), facts=content, examples=examples)
 
 
 def measure(
@@ -169,7 +163,9 @@ def sections_of(content: Content) -> list[Section]:
     note = ""
     if other_count:
         note = f"Of each method its best form here; {other_count} more in report.md."
-    sections = [Section("Leaderboard", [tables.leaderboard(best)], (note, verdict(content)))]
+    sections = [
+        Section("Leaderboard", [tables.leaderboard(best)], (note, verdict(content)), printed=True)
+    ]
     if other_count:
         sections.append(Section(f"All {len(rows)} forms", [tables.leaderboard(rows)], folded=True))
     for number in (2, 3):
@@ -192,7 +188,7 @@ def _examples(
     count = min(settings.examples, len(items))
     if not count:
         return []
-    noisy_psnr_db = measured.wide()["psnr"][NOISY.label].to_numpy()
+    noisy_psnr_db = measured.wide()["psnr"][NOISY.label].to_numpy(float)
     worst_first = np.argsort(noisy_psnr_db, kind="stable")
     ranks = np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))
     example_items = [items[number] for number in worst_first[ranks]]

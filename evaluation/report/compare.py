@@ -7,7 +7,8 @@ evaluate real`, any number of them, are tabulated beside each other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +16,12 @@ import pandas as pd
 
 from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
+from ..metrics.measure import METRICS
 from ..metrics.statistics import LEAST_FRAMES, Paired, holm, paired
 from .build import RESULTS_NAME
-from .real_table import is_real_report, tabulate
-from .tables import (
-    METRIC_NAMES,
-    as_markdown,
-    as_table,
-    interval,
-    percent,
-    plain,
-    written,
-    written_p,
-)
+from .tables import as_markdown, as_table, interval, percent, plain, written, written_p
 
+REAL_NAME = "real.json"
 _ALPHA = 0.05
 
 
@@ -45,7 +38,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--row-b", help="row of B (default: chosen as that of A)")
     options = parser.parse_args(list(words))
     folders = [Path(name) for name in options.folders]
-    if all(is_real_report(folder) for folder in folders):
+    if all((folder / REAL_NAME).is_file() for folder in folders):
         print(tabulate(folders))
         return 0
     if len(folders) != 2:
@@ -71,7 +64,7 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
         )
     groups = ["/".join(key[1:]) for key in common]
     results: dict[str, Paired] = {}
-    for name, metric in METRIC_NAMES.items():
+    for name, metric in METRICS.items():
         if name in row_values_a and name in row_values_b:
             first, second = (
                 row.loc[common, name].to_numpy(float) for row in (row_values_a, row_values_b)
@@ -79,7 +72,7 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
             results[name] = paired(
                 first, second, groups, better=metric.better, resamples=2000, seed=0
             )
-    judged = [name for name in results if METRIC_NAMES[name].better]
+    judged = [name for name in results if METRICS[name].better]
     adjusted = dict(zip(judged, holm([results[name].p for name in judged]), strict=True))
     return {
         "a": {"folder": a.name, "row": name_a},
@@ -94,7 +87,7 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
 def _line(name: str, result: Paired, p_holm: float | None) -> dict[str, Any]:
     """A metric; better only where the interval excludes zero and Holm's p is below 0.05."""
     item = result.difference
-    better = METRIC_NAMES[name].better
+    better = METRICS[name].better
     verdict = "no difference shown"
     if not better or not item.count:
         verdict = "not ranked" if item.count else "no figures"
@@ -110,7 +103,7 @@ def text_of(result: dict[str, Any]) -> str:
     left_out = f", {result['left_out']} in one report only" if result["left_out"] else ""
     rows = []
     for name, figures in result["metrics"].items():
-        metric = METRIC_NAMES[name]
+        metric = METRICS[name]
         digits = metric.digits + 1
         cells = written(figures["difference"], digits, True), interval(figures, digits, True)
         wins = percent(figures["wins"]) if metric.better else "-"
@@ -154,3 +147,46 @@ def _row(folder: Path, name: str | None) -> tuple[str, pd.DataFrame]:
         known = ", ".join(results["method"].unique())
         raise FactoryError(f"{folder}: no row {name!r}; it has {known}")
     return name, rows.set_index(["pair", "location", "scene", "frame"])
+
+
+def tabulate(folders: Sequence[Path]) -> str:
+    """PSNR and SSIM of noisy images, the best filter and each network, a column a report.
+
+    A network counts by the last part of its label, so folders of one name are one row.
+    Raises FactoryError for a folder without a report that can be read.
+    """
+    names = []
+    columns = []
+    for folder in folders:
+        path = folder / REAL_NAME
+        try:
+            report = json.loads(path.read_text(encoding="utf-8"))
+            columns.append(_column(report))
+            names.append(report["name"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise FactoryError(
+                f"{path}: damaged or of another version; make it again by `simnfnd evaluate real`"
+            ) from error
+    labels = dict.fromkeys(label for column in columns for label in column)
+    lines = [[label, *(column.get(label, "-") for column in columns)] for label in labels]
+    table = as_markdown(as_table(["PSNR, dB / SSIM", *names], lines), "lr")
+    return f"{table}\n\nThe best filter is the one of the highest PSNR in each report."
+
+
+def _column(report: Mapping[str, Any]) -> dict[str, str]:
+    """Label -> its figures in a report."""
+    rows = {row["label"]: row for row in report["rows"] if row["lost"] is None}
+    figures = {
+        label: " / ".join(
+            written(row["metrics"].get(name, {}).get("mean"), METRICS[name].digits)
+            for name in ("psnr", "ssim")
+        )
+        for label, row in rows.items()
+    }
+    best = report["best_filter"].get("psnr")
+    networks = [label for label, row in rows.items() if row["kind"] == "network"]
+    return {
+        "noisy": figures["noisy"],
+        "best filter": "-" if best is None else f"{figures[best]} ({best.split()[0]})",
+        **{Path(label).name: figures[label] for label in networks},
+    }

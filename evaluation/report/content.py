@@ -1,22 +1,115 @@
-"""What the report says, as plain data: the one source of every file that shows it."""
+"""The rows of a report, as plain data: the one source of every file that shows them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..judging.methods import NOISY, Method
 from ..judging.pairs import JudgedPair
-from ..judging.runner import Measured
+from ..judging.runner import SECONDS, Measured
 from ..judging.settings import EvaluationSettings
 from ..metrics.fidelity import PSNR_CAP_DB
-from ..metrics.statistics import LEAST_FRAMES
-from .estimates import Estimator, add_holm_p
+from ..metrics.measure import METRICS
+from ..metrics.statistics import LEAST_FRAMES, Estimate, estimate, holm, paired
 from .paper_tables import table_2_beside, table_3_beside
 from .tables import Content, interval, percent, plain, written_p
 
-SCHEMA = "simnfnd-report/1"
+if TYPE_CHECKING:
+    import pandas as pd
+
+SCHEMA = "simnfnd-report/2"
+
+
+@dataclass(frozen=True, eq=False)
+class Estimator:
+    """The figures of all rows, and what their bootstrap draws.
+
+    figures: metric -> its values of each image or group (rows) by each method (columns, labels).
+    groups: what each value belongs to, the unit that the bootstrap draws.
+    resamples, seed: of the bootstrap.
+    """
+
+    figures: Mapping[str, pd.DataFrame]
+    groups: Sequence[str]
+    resamples: int
+    seed: int
+
+    def means(self, label: str) -> dict[str, dict[str, Any]]:
+        """Metric -> mean of a row with its interval; metrics without figures are absent."""
+        means = {}
+        for metric, table in self.figures.items():
+            if metric == SECONDS or table[label].isna().all():
+                continue
+            values = table[label].to_numpy(float)
+            mean = estimate(values, self.groups, resamples=self.resamples, seed=self.seed)
+            means[metric] = _as_dict(mean)
+        return means
+
+    def difference(self, metric: str, label: str, reference: str) -> dict[str, Any]:
+        """Mean difference of a row to a reference, pair by pair, with its test."""
+        table = self.figures[metric]
+        comparison = paired(
+            table[label].to_numpy(float),
+            table[reference].to_numpy(float),
+            self.groups,
+            better=METRICS[metric].better,
+            resamples=self.resamples,
+            seed=self.seed,
+        )
+        test = {"p": plain(comparison.p), "wins": plain(comparison.wins)}
+        return _as_dict(comparison.difference) | test
+
+
+def rows_of(
+    methods: Sequence[Method], measured: Measured, estimator: Estimator
+) -> list[dict[str, Any]]:
+    """A row for each method: what it is, its figures, or why it is lost."""
+    rows = []
+    for method in methods:
+        label = method.label
+        loss = measured.lost.get(label)
+        seconds = math.nan if loss is not None else measured.median_seconds(label)
+        rows.append({
+            "label": label,
+            "name": method.name,
+            "form": method.form,
+            "kind": method.kind,
+            "parameters": [dict(point) for point in method.folds or (method.parameters,)],
+            "levels": None if method.levels is None else asdict(method.levels),
+            "ablation": method.ablation,
+            "cpu_s": plain(seconds),
+            "lost": loss,
+            "metrics": {} if loss is not None else estimator.means(label),
+            "against_noisy": {},
+            "against_best": {},
+        })  # fmt: skip
+    return rows
+
+
+def compare_rows(
+    rows: Sequence[dict[str, Any]],
+    key: str,
+    kinds: Sequence[str],
+    references: Mapping[str, str],
+    estimator: Estimator,
+) -> None:
+    """Fill `key` of the rows of some kinds with their differences to references.
+
+    references: metric -> label of the row to compare with.  Each metric is a family of tests, whose
+    p values are Holm's as `p_holm`.
+    """
+    for metric, reference in references.items():
+        family = []
+        for row in rows:
+            if row["kind"] in kinds and metric in row["metrics"] and row["label"] != reference:
+                row[key][metric] = estimator.difference(metric, row["label"], reference)
+                family.append(row[key][metric])
+        p_values = [math.nan if test["p"] is None else test["p"] for test in family]
+        for test, adjusted_p in zip(family, holm(p_values), strict=True):
+            test["p_holm"] = plain(adjusted_p)
 
 
 def content_of(
@@ -32,15 +125,19 @@ def content_of(
     """
     groups = [item.group for item in items]
     estimator = Estimator(measured.wide(), groups, settings.bootstrap, settings.seed)
-    rows = [_row(method, measured.lost.get(method.label), estimator) for method in methods]
+    rows = rows_of(methods, measured, estimator)
     best = best_classical(rows, tuned)
-    _compare_with_noisy(rows, estimator)
+    compared = [name for name in _COMPARED_METRICS if name in estimator.figures]
+    noisy = dict.fromkeys(compared, NOISY.label)
+    compare_rows(rows, "against_noisy", ("baseline", "network", "pictures"), noisy, estimator)
     if best.row is not None:
-        _compare_with_best(rows, best.row, estimator)
+        references = dict.fromkeys(compared, best.row)
+        compare_rows(rows, "against_best", ("network", "pictures"), references, estimator)
     rows.sort(key=_rank)
+    identical = int((estimator.figures["psnr"][NOISY.label] >= PSNR_CAP_DB).sum())
     return {
         "schema": SCHEMA,
-        "facts": _facts(settings, items, _count_identical(estimator)),
+        "facts": _facts(settings, items, identical),
         "rows": rows,
         "best_classical": best._asdict(),
         "table_2": table_2_beside(rows),
@@ -48,52 +145,12 @@ def content_of(
     }
 
 
-def _row(method: Method, loss: str | None, estimator: Estimator) -> dict[str, Any]:
-    """A method with its figures; loss: why it has none, if so."""
-    label = method.label
-    is_lost = loss is not None
-    return {
-        "label": label,
-        "name": method.name,
-        "form": method.form,
-        "kind": method.kind,
-        "parameters": dict(method.parameters),
-        "levels": None if method.levels is None else vars(method.levels),
-        "ablation": method.ablation,
-        "milliseconds": None if is_lost else plain(estimator.median_milliseconds(label)),
-        "lost": loss,
-        "metrics": {} if is_lost else estimator.means(label),
-        "against_noisy": {},
-        "against_best": {},
-    }
-
-
-def _compare_with_noisy(rows: Sequence[dict[str, Any]], estimator: Estimator) -> None:
-    """Fill `against_noisy` of every row that changes the image."""
-    for row in rows:
-        if row["kind"] != "noisy" and row["lost"] is None:
-            row["against_noisy"] = estimator.differences(row["label"], NOISY.label)
-    add_holm_p([row["against_noisy"] for row in rows])
-
-
-def _compare_with_best(rows: Sequence[dict[str, Any]], best: str, estimator: Estimator) -> None:
-    """Fill `against_best` of networks and of other programs' images; best: label of a baseline."""
-    for row in rows:
-        if row["kind"] in ("network", "pictures") and row["lost"] is None:
-            row["against_best"] = estimator.differences(row["label"], best)
-    add_holm_p([row["against_best"] for row in rows])
+_COMPARED_METRICS = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")
 
 
 def _rank(row: Content) -> float:
     """Sorts the best PSNR first, lost rows last."""
-    if row["lost"] is not None:
-        return math.inf
-    return -float(row["metrics"]["psnr"]["mean"])
-
-
-def _count_identical(estimator: Estimator) -> int:
-    """The number of pairs whose noisy image is the clean one."""
-    return int((estimator.values("psnr", NOISY.label) >= PSNR_CAP_DB).sum())
+    return math.inf if row["lost"] is not None else -float(row["metrics"]["psnr"]["mean"])
 
 
 class BestClassical(NamedTuple):
@@ -113,23 +170,14 @@ def best_classical(rows: Sequence[Content], tuned: Mapping[str, Any]) -> BestCla
         for row in rows
         if row["kind"] == "baseline" and row["lost"] is None
     }
-    validation_psnr_db = _validation_psnr_db(tuned, psnr_db)
-    if validation_psnr_db:
-        label = max(validation_psnr_db, key=validation_psnr_db.__getitem__)
-        return BestClassical(label, "validation pairs")
-    label_or_none = max(psnr_db, key=psnr_db.__getitem__, default=None)
-    return BestClassical(label_or_none, "these very pairs")
-
-
-def _validation_psnr_db(tuned: Mapping[str, Any], labels: Collection[str]) -> dict[str, float]:
-    """Label -> PSNR on validation pairs, of those `labels` that have tuned levels."""
-    psnr_db = {}
+    validation_psnr_db = {}
     for name, entry in tuned.items():
         for form, key in (("+ levels", "default"), ("tuned + levels", "tuned_levels")):
-            label = f"{name} {form}"
-            if label in labels:
-                psnr_db[label] = float(entry[key]["psnr_levels"])
-    return psnr_db
+            if (label := f"{name} {form}") in psnr_db:
+                validation_psnr_db[label] = float(entry[key]["psnr_levels"])
+    chosen_on = "validation pairs" if validation_psnr_db else "these very pairs"
+    candidates = validation_psnr_db or psnr_db
+    return BestClassical(max(candidates, key=candidates.__getitem__, default=None), chosen_on)
 
 
 def verdict(content: Mapping[str, Any]) -> str:
@@ -185,17 +233,22 @@ def _facts(
     }
 
 
-def best_forms(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def best_forms(rows: Sequence[Content]) -> list[Content]:
     """The form of each method with the best PSNR here; rows come best first, lost ones last."""
-    best: dict[str, Mapping[str, Any]] = {}
+    best: dict[str, Content] = {}
     for row in rows:
         if row["kind"] == "noisy" or row["name"] != "identity":
             best.setdefault(row["name"], row)
     return list(best.values())
 
 
-def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
+def shown_rows(rows: Sequence[Content], most: int) -> list[str]:
     """Labels for images: noisy, then of each method its best form, best first."""
     alive = [row for row in rows if row["lost"] is None]
     best = [row["label"] for row in best_forms(alive) if row["kind"] != "noisy"]
     return ["noisy", *best[:most]]
+
+
+def _as_dict(item: Estimate) -> dict[str, Any]:
+    """An estimate for JSON, which has no NaN."""
+    return {name: value if name == "count" else plain(value) for name, value in vars(item).items()}

@@ -43,7 +43,7 @@ class Drawing:
 class Section:
     """A part of a report.  Names in `text` stand between backticks.
 
-    tables: of text.  folded: the page opens it on a click.
+    tables: of text.  folded: the page opens it on a click.  printed: on the terminal, too.
     """
 
     title: str
@@ -51,6 +51,7 @@ class Section:
     text: Sequence[str] = ()
     folded: bool = False
     drawings: Sequence[Drawing] = ()
+    printed: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class ComparedImages:
     truth: str = ""
 
 
-def write_report(
+def publish(
     out: Path,
     name: str,
     title: str,
@@ -76,7 +77,7 @@ def write_report(
     facts: Mapping[str, Any],
     examples: Sequence[ComparedImages] = (),
 ) -> None:
-    """<name>.md, .json and .html in a folder, and the drawings of its sections.
+    """Write <name>.md, .json and .html and the drawings of the sections; print what is to be read.
 
     facts: the JSON.  Raises FactoryError when the folder cannot be written to.
     """
@@ -85,21 +86,28 @@ def write_report(
     ]
     parts = [f"# {title}", about]
     for section in shown:
-        parts += [
-            f"## {section.title}",
-            *map(as_markdown, section.tables),
-            *filter(None, section.text),
-        ]
+        parts.append(f"## {section.title}")
+        parts += _texts(section)
         parts += [f"![{drawing.caption}]({drawing.name})" for drawing in section.drawings]
     page = _environment().get_template("report.html")
     html = page.render(
         title=title, about=about, sections=shown, examples=_data(examples), file=_own_file
     )
-    markdown = "\n\n".join(parts) + "\n"
     data = json.dumps(facts, indent=1, allow_nan=False) + "\n"
-    files: dict[str, str | bytes] = {f"{name}.json": data, f"{name}.md": markdown}
+    files: dict[str, str | bytes] = {f"{name}.json": data, f"{name}.md": _paragraphs(parts)}
     files |= {drawing.name: drawing.content for section in shown for drawing in section.drawings}
     write_files(out, {**files, f"{name}.html": html.lstrip()})
+    printed = [text for section in shown if section.printed for text in _texts(section)]
+    print(_paragraphs([about, *printed, f"report: {out / name}.html"]), end="")
+
+
+def _texts(section: Section) -> list[str]:
+    """The tables and the text of a section as Markdown."""
+    return [*map(as_markdown, section.tables), *filter(None, section.text)]
+
+
+def _paragraphs(texts: Sequence[str]) -> str:
+    return "\n\n".join(texts) + "\n"
 
 
 def write_files(out: Path, files: Mapping[str, str | bytes]) -> None:

@@ -1,13 +1,14 @@
-"""Metrics and figures as readers see them, and the tables of a report."""
+"""Figures as readers see them, and the tables of a report."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..judging.methods import shown
+from ..metrics.measure import METRICS, Metric
+from ..metrics.statistics import FigureEstimate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,43 +21,6 @@ _RULES = {"l": "---", "r": "---:", "c": ":---:"}
 
 TABLE_METRICS = ("psnr", "ssim", "gmsd")
 """Metrics of the paper's tables."""
-
-
-@dataclass(frozen=True)
-class Metric:
-    """How tables show a metric.
-
-    label: name with the unit.  digits: digits after the point.
-    better: 1 where high values are better, -1 where low ones are, 0 where neither is.
-    """
-
-    label: str
-    digits: int
-    better: int
-
-
-METRIC_NAMES = {
-    "psnr": Metric("PSNR, dB", 2, 1),
-    "ssim": Metric("SSIM", 3, 1),
-    "gmsd": Metric("GMSD", 3, -1),
-    "psnr_fan": Metric("PSNR fan only, dB", 2, 1),
-    "ssim_fan": Metric("SSIM fan only", 3, 1),
-    "gmsd_fan": Metric("GMSD fan only", 3, -1),
-    "shadow_iou": Metric("shadow IoU", 3, 1),
-    "shadow_residual": Metric("shadow residual", 4, -1),
-    "false_light_rate": Metric("false-light rate", 3, -1),
-    "gmsd_unpooled": Metric("GMSD as printed", 3, -1),
-    "ms_ssim": Metric("MS-SSIM", 3, 1),
-    "edge_preservation": Metric("edges", 3, 1),
-    "enl": Metric("ENL", 2, 0),
-    "cnr": Metric("CNR", 2, 1),
-    "ratio_mean": Metric("ratio mean", 3, 0),
-    "ratio_variance": Metric("ratio variance", 3, 0),
-    "ratio_correlation": Metric("ratio correlation", 3, 0),
-}
-"""Metrics in the order of the tables.
-
-ENL rewards blur, and doing nothing leaves a perfect ratio image: neither ranks methods alone."""
 
 
 def plain(value: float | None) -> float | None:
@@ -93,6 +57,13 @@ def with_interval(item: Mapping[str, Any], digits: int, sign: bool = False) -> s
     return f"{mean} ({interval(item, digits, sign)})"
 
 
+def figure(estimate: FigureEstimate, sign: bool = False) -> str:
+    """Three digits of a share and, in brackets, two of its interval."""
+    value = written(estimate.value, 3, sign)
+    limits = interval(estimate._asdict(), 2, sign)
+    return value if limits == "-" else f"{value} ({limits})"
+
+
 def percent(share: float | None) -> str:
     """A share in per cent."""
     return "-" if share is None else f"{100 * share:.0f}\u00a0%"
@@ -120,46 +91,76 @@ def as_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame
     return pd.DataFrame(list(rows), columns=list(head))
 
 
+def table_of(
+    rows: Sequence[Content], columns: Mapping[str, Callable[[Content], str]], first: str = "method"
+) -> pd.DataFrame:
+    """A line for each row of a report: its name, then its cells, or why it is lost.
+
+    rows: with `label`, `parameters` and `lost`.  columns: head -> what the cell of a row says.
+    """
+    lines = []
+    for row in rows:
+        points = dict.fromkeys(shown(point).strip(" ()") for point in row["parameters"] if point)
+        title = row["label"] + (f" ({' | '.join(points)})" if points else "")
+        if row["lost"] is None:
+            cells = [cell(row) for cell in columns.values()]
+        else:
+            cells = [f"lost: {row['lost']}", *[""] * (len(columns) - 1)]
+        lines.append([title, *cells])
+    return as_table([first, *columns], lines)
+
+
+def mean_column(name: str, metric: Metric, *, bounds: bool = False) -> Callable[[Content], str]:
+    """The cell of a row: its mean of a metric, with the interval if `bounds`."""
+
+    def cell(row: Content) -> str:
+        if name not in row["metrics"]:
+            return "-"
+        item = row["metrics"][name]
+        return (
+            with_interval(item, metric.digits) if bounds else written(item["mean"], metric.digits)
+        )
+
+    return cell
+
+
+def difference_column(
+    key: str, name: str, text: Callable[[Mapping[str, Any]], str]
+) -> Callable[[Content], str]:
+    """The cell of a row: what `text` says of its difference in a metric; empty without one."""
+    return lambda row: text(row[key][name]) if name in row[key] else ""
+
+
 def leaderboard(rows: Sequence[Content]) -> pd.DataFrame:
     """PSNR with its interval, the paired gain and its test, other metrics, the cost."""
     names = [name for name in _SHORT if has(rows, name) and not _is_blind(rows, name)]
-    head = ["method", "PSNR, dB", "95 % interval", "against noisy, dB", "p (Holm)", "wins"]
-    head += [METRIC_NAMES[name].label for name in names] + ["ms"]
-    lines: list[list[str]] = []
-    for row in rows:
-        title = f"{row['label']}{shown(row['parameters'])}"
-        if row["lost"] is not None:
-            lines.append([title, f"lost: {row['lost']}", *[""] * (len(head) - 2)])
-            continue
-        psnr = row["metrics"]["psnr"]
-        gain = row["against_noisy"].get("psnr")
-        cells = [title, written(psnr["mean"], 2), interval(psnr, 2), "", "", ""]
-        if gain is not None:
-            both = with_interval(gain, 2, True)
-            cells[3:] = [both, written_p(gain["p_holm"]), percent(gain["wins"])]
-        cells += [written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names]
-        lines.append([*cells, written(row["milliseconds"], 1)])
-    return as_table(head, lines)
+    columns: dict[str, Callable[[Content], str]] = {
+        METRICS["psnr"].label: mean_column("psnr", METRICS["psnr"]),
+        "95 % interval": lambda row: interval(row["metrics"]["psnr"], 2),
+        "against noisy, dB": difference_column(
+            "against_noisy", "psnr", lambda gain: with_interval(gain, 2, True)
+        ),
+        "p (Holm)": difference_column(
+            "against_noisy", "psnr", lambda gain: written_p(gain["p_holm"])
+        ),
+        "wins": difference_column("against_noisy", "psnr", lambda gain: percent(gain["wins"])),
+        **{METRICS[name].label: mean_column(name, METRICS[name]) for name in names},
+        "ms": lambda row: written(1000 * (row["cpu_s"] or math.nan), 1),
+    }
+    return table_of(rows, columns)
 
 
 def more_metrics(rows: Sequence[Content]) -> pd.DataFrame:
-    """The means of the metrics that the leaderboard leaves out."""
-    kept_rows = [row for row in rows if row["lost"] is None]
-    own_names = {name for row in kept_rows for name in row["metrics"] if name not in METRIC_NAMES}
-    metrics = {name: Metric(name, 3, 0) for name in sorted(own_names)}  # of other packages
-    metrics = {
-        name: metric
-        for name, metric in {**METRIC_NAMES, **metrics}.items()
+    """The means of the metrics that the leaderboard leaves out, those of other packages last."""
+    kept_rows = [{**row, "parameters": []} for row in rows if row["lost"] is None]
+    own_names = sorted({name for row in kept_rows for name in row["metrics"]} - set(METRICS))
+    metrics = {**METRICS, **{name: Metric(name) for name in own_names}}
+    columns = {
+        metric.label: mean_column(name, metric)
+        for name, metric in metrics.items()
         if name not in ("psnr", *_SHORT) and has(rows, name)
     }
-    lines = [
-        [
-            row["label"],
-            *(written(row["metrics"][n]["mean"], metric.digits) for n, metric in metrics.items()),
-        ]
-        for row in kept_rows
-    ]
-    return as_table(["method", *(metric.label for metric in metrics.values())], lines)
+    return table_of(kept_rows, columns)
 
 
 def beside_paper(table: Sequence[Content]) -> pd.DataFrame:
@@ -189,7 +190,7 @@ def _is_blind(rows: Sequence[Content], name: str) -> bool:
     if name != "shadow_iou":
         return False
     means = [row["metrics"][name]["mean"] for row in rows if row["metrics"].get(name)]
-    smallest = 0.5 * 10 ** -METRIC_NAMES[name].digits
+    smallest = 0.5 * 10 ** -METRICS[name].digits
     return all(mean is None or not mean >= smallest for mean in means)
 
 

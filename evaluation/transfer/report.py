@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,8 +15,8 @@ from ...models.detection.detector import detect
 from ...models.detection.training import DETECTOR_NAME
 from ..judging.settings import TransferReportSettings
 from ..metrics.statistics import FigureEstimate
-from ..report.document import Drawing, Section, write_report
-from ..report.tables import as_markdown, as_table, plain, written
+from ..report.document import Drawing, Section, publish
+from ..report.tables import as_table, figure, plain, written
 from .arms import BLOB, SIMULATION, Arm, Comparison, open_comparison, open_training
 from .coco import RealImage, RealImages, read_coco
 from .scores import (
@@ -84,8 +83,7 @@ def evaluate(settings: TransferReportSettings) -> None:
     groups = [image.labelled.group for image in real.images]
     draws = group_draws(groups, settings.bootstrap, settings.seed)
     judged = [judge_arm(arm, real, draws) for arm in comparison.arms()]
-    print(write(settings, comparison, judged, draws))
-    print(f"report: {settings.folder / 'transfer.html'}")
+    write(settings, comparison, judged, draws)
     path = settings.folder / "simulation" / DETECTOR_NAME
     if path.is_file():
         print(f"detector: {path}")
@@ -138,8 +136,8 @@ def write(
     comparison: Comparison,
     judged: Sequence[JudgedArm],
     draws: Int64s,
-) -> str:
-    """Write the files; returns what the terminal shows."""
+) -> None:
+    """Write the files and print the table."""
     real = comparison.real
     object_count = sum(len(image.labelled.boxes) for image in real.images)
     group_count = len({image.labelled.group for image in real.images})
@@ -172,13 +170,13 @@ def write(
         drawings.append(Drawing("sheet.png", caption, sheet))
     simulated = _simulated_figures(comparison)
     sections = [
-        Section("All objects as one class", [table], [_simulated_text(simulated)]),
+        Section("All objects as one class", [table], [_simulated_text(simulated)], printed=True),
         Section("Each class: recall at one false alarm", [recall_table(judged)]),
         Section("Each class: AP50 with the class that is named", class_tables(judged)),
         Section("Curves and images", drawings=drawings),
         Section("How it was measured", text=HOW),
     ]
-    write_report(
+    publish(
         settings.folder,
         "transfer",
         f"Detection in {real.name}",
@@ -186,7 +184,6 @@ def write(
         sections,
         facts=_facts(settings, comparison, judged, simulated),
     )
-    return f"{about.strip()}\n\n{as_markdown(table)}"
 
 
 def overall_table(judged: Sequence[JudgedArm], draws: Int64s) -> pd.DataFrame:
@@ -200,9 +197,9 @@ def overall_table(judged: Sequence[JudgedArm], draws: Int64s) -> pd.DataFrame:
     for row in judged:
         lead = ""
         if blob is not None and row is not blob:
-            lead = _shown(difference(row.matches, blob.matches, draws), sign=True)
+            lead = figure(difference(row.matches, blob.matches, draws), sign=True)
         figures = row.figures
-        cells = [_shown(figures.ap50), _shown(figures.ap30), _shown(figures.recall), lead]
+        cells = [figure(figures.ap50), figure(figures.ap30), figure(figures.recall), lead]
         lines.append([row.arm.label, row.arm.learns_from, *cells])
     return as_table(head, lines)
 
@@ -228,14 +225,6 @@ def class_tables(judged: Sequence[JudgedArm]) -> list[pd.DataFrame]:
         mean = float(np.mean(values))
         lines.append([row.arm.label, *(written(value, 2) for value in values), written(mean, 3)])
     return [as_table(["detector", *names, "mean"], lines)]
-
-
-def _shown(estimate: FigureEstimate, sign: bool = False) -> str:
-    text = written(estimate.value, 3, sign)
-    if math.isfinite(estimate.low):
-        low = written(estimate.low, 2, sign)
-        text += f" ({low} .. {written(estimate.high, 2, sign)})"
-    return text
 
 
 def _shown_on_sheet(judged: Sequence[JudgedArm]) -> JudgedArm:

@@ -12,13 +12,14 @@ import sys
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 from .errors import FactoryError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
+T = TypeVar("T")
 Kind = Literal["effect", "reader", "recording", "method", "metric", "preset"]
 GROUPS: dict[Kind, str] = {
     "effect": "simnfnd.effects",
@@ -114,6 +115,23 @@ def find(kind: Kind, name: str) -> Extension | None:
         # Its module may have registered it meanwhile.
         register(kind, name, value, source)
     return _registered[kind, name]
+
+
+def find_of_type(kind: Kind, name: str, expected: type[T]) -> T | None:
+    """Return the object of a name; None where there is none.
+
+    Raises FactoryError for one that cannot be imported, has another type or another name.
+    """
+    extension = find(kind, name)
+    if extension is None:
+        return None
+    value = extension.value
+    if not isinstance(value, expected) or getattr(value, "name", name) != name:
+        raise FactoryError(
+            f"{kind} {name}: {extension.source} gives no {expected.__name__} of that name; report "
+            "it to the package's author"
+        )
+    return value
 
 
 def preset_module(name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,15 +13,17 @@ import numpy as np
 from ..common.array_types import Array, Float64s
 from .schema import CHECKSUMS
 
-# Equal images count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
+"""PSNR of identical images, so that a mean stays finite."""
 
 SIGMA_PX = 1.5
 RADIUS_PX = 5
+"""Standard deviation and radius of the Gaussian window, which ends at 3.5 sigma."""
 LUMINANCE_FLOOR = 0.01
 CONTRAST_FLOOR = 0.03
 """K1 and K2 of the structural similarity (Wang et al. 2004), as parts of full scale."""
-"""Radius of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
+GMSD_C = 170.0
+"""Constant of Xue et al. (2014), for grey values 0..255."""
 
 
 def noisiness(directory: Path, most: int = 200) -> dict[str, float]:
@@ -51,8 +54,13 @@ def images_digest(directory: Path) -> str:
 
 def psnr_db(clean: Array, noisy: Array) -> float:
     """Peak signal-to-noise ratio of (H, W) uint8 (0..255) or float (0..1) images, dB, capped."""
-    mse = float(np.mean((_unit(noisy) - _unit(clean)) ** 2))
-    return float(min(PSNR_CAP_DB, -10 * np.log10(max(mse, 1e-10))))
+    squared_error = float(np.mean((_unit(noisy) - _unit(clean)) ** 2))
+    return min(PSNR_CAP_DB, decibels(squared_error))
+
+
+def decibels(squared_error: float, data_range: float = 1.0) -> float:
+    """Return the PSNR, dB, of a mean squared error; inf for 0."""
+    return math.inf if squared_error == 0 else -10 * math.log10(squared_error / data_range**2)
 
 
 def ssim(clean: Array, noisy: Array) -> float:
@@ -69,28 +77,32 @@ def ssim(clean: Array, noisy: Array) -> float:
 def gmsd(clean: Array, noisy: Array) -> float:
     """Gradient magnitude similarity deviation of two (H, W) uint8 or float (0..1) images.
 
-    Xue et al. (2014), as the authors' program has it: of 2x2 means, Prewitt's gradients, c = 170
-    for 255 grey values, zeros beyond the border.  0: identical.
+    Xue et al. (2014), as the authors' program has it: of 2x2 means, 0 for identical images.
     """
-    clean_gradient, noisy_gradient = (_gradient(255 * _unit(image)) for image in (clean, noisy))
-    return float(
-        (
-            (2 * clean_gradient * noisy_gradient + 170)
-            / (clean_gradient**2 + noisy_gradient**2 + 170)
-        ).std()
-    )
+    gradients = (gradient_magnitude(halved(255 * _unit(image))) for image in (clean, noisy))
+    return float(gradient_similarity(*gradients).std())
 
 
-def _gradient(image: Float64s) -> Float64s:
-    height, width = image.shape
-    image = np.pad(image, ((0, height % 2), (0, width % 2)))
-    image = image.reshape(len(image) // 2, 2, -1, 2).mean(axis=(1, 3))
-    edge = np.pad(image, 1)
+def gradient_similarity(first: Float64s, second: Float64s) -> Float64s:
+    """(H, W) gradient magnitude similarity of two `gradient_magnitude`."""
+    return np.asarray((2 * first * second + GMSD_C) / (first**2 + second**2 + GMSD_C))
+
+
+def gradient_magnitude(grey: Float64s) -> Float64s:
+    """(H, W) length of the gradient of grey values 0..255: Prewitt's kernels, zeros outside."""
+    edge = np.pad(grey, 1)
     across = edge[:, 2:] - edge[:, :-2]
     down = edge[2:] - edge[:-2]
     across = (across[:-2] + across[1:-1] + across[2:]) / 3
     down = (down[:, :-2] + down[:, 1:-1] + down[:, 2:]) / 3
     return np.asarray(np.hypot(across, down))
+
+
+def halved(image: Float64s) -> Float64s:
+    """(ceil(H / 2), ceil(W / 2)) means of 2x2 blocks; odd sizes are padded by zeros."""
+    height, width = image.shape
+    even = np.pad(image, ((0, height % 2), (0, width % 2)))
+    return np.asarray(even.reshape(len(even) // 2, 2, -1, 2).mean(axis=(1, 3)))
 
 
 def seen_sector_deg(directory: Path) -> tuple[float, float]:

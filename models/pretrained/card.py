@@ -205,7 +205,7 @@ def _figures_of(path: Path) -> str:
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
         name = report["name"] if "name" in report else report["facts"]["dataset"]
-        rows = _rows_of_real(report) if "best_filter" in report else _rows_of_pairs(report)
+        rows = _report_rows(report)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FactoryError(
             f"--figures {path}: no report; give real.json of `simnfnd evaluate real` or "
@@ -214,19 +214,9 @@ def _figures_of(path: Path) -> str:
     return f"### {name}\n\n" + _table(["row", "PSNR, dB", "SSIM"], rows)
 
 
-def _rows_of_real(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    best_filters = set((report["best_filter"] or {}).values())
-    rows = []
-    for row in report["rows"]:
-        is_shown = row["label"] == "noisy" or row["network"] or row["label"] in best_filters
-        if row["lost"] is None and is_shown and "psnr_db" in row["means"]:
-            means = row["means"]
-            rows.append((row["label"], f"{means['psnr_db']:.2f}", f"{means['ssim']:.3f}"))
-    return rows
-
-
-def _rows_of_pairs(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    measured = [row for row in report["rows"] if row["lost"] is None]
+def _report_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Label, PSNR and SSIM of the noisy images, the best filter and the networks."""
+    measured = [row for row in report["rows"] if row["lost"] is None and "psnr" in row["metrics"]]
     filters = [row for row in measured if row["kind"] == "baseline"]
     best = max(filters, key=lambda row: row["metrics"]["psnr"]["mean"], default=None)
     rows = []

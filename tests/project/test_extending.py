@@ -96,7 +96,6 @@ def installed(site: Path) -> Iterator[None]:
             for kind, name in list(extensions._registered):
                 extensions._registered.pop((kind, name))
             REGISTRY.pop("row_median", None)
-            own._problem_of.cache_clear()
             registry._problem_of.cache_clear()
             EFFECTS.pop("drifting_snow", None)
             ConfigStore.instance().repo.get("scenes", {}).pop("npz_folder.yaml", None)
@@ -293,15 +292,14 @@ def test_names_that_are_taken_or_unusable_are_refused() -> None:
         register_method(REGISTRY["median"])
     row_median = REGISTRY["median"]
     wrong: dict[str, dict[str, Any]] = {
-        "NaN": {"function": lambda image, size: image * np.nan},
-        "TypeError": {"function": lambda image: image},
-        "changes the image": {"function": lambda image, size: np.sqrt(image, out=image)},
         "no default": {"grid": {"width": (3,)}},
         "no value": {"grid": {"size": ()}},
     }
     for problem, changes in wrong.items():
         with pytest.raises(ValueError, match=f"row_median.*{problem}"):
             register_method(replace(row_median, name="row_median", **changes))
+    with pytest.raises(ValueError, match="psnr"):
+        OwnMetric("psnr", lambda image, pair: 0.0)
     entry: Any = type("Entry", (), {"kind": "seabed"})
     with pytest.raises(ValueError, match="seabed"):
         register_reader(entry)

@@ -14,11 +14,12 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
+from simnfnd.evaluation.judging import sequences
 from simnfnd.evaluation.judging.methods import Method
 from simnfnd.evaluation.judging.recorded import MDD_GEOMETRIES, MDD_SHAPE, RecordedImage, open_input
+from simnfnd.evaluation.metrics.measure import MeasuredImage
 from simnfnd.evaluation.real import in_time
 from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of, search, sector_of
-from simnfnd.evaluation.real.judge import MeasuredImage, figures_of, scene_of
 from simnfnd.factory.common.array_types import Array, Float32s, UInt8s
 from simnfnd.factory.common.workers.tasks import TaskPool
 from simnfnd.models.recordings.static import aligned, moving, shift_px
@@ -34,6 +35,10 @@ def real(out: Path, *words: str) -> dict[str, Any]:
     assert main(["evaluate", "real", *words, f"out={out}", "workers=1"]) == 0
     content: dict[str, Any] = json.loads((out / "real.json").read_text(encoding="utf-8"))
     return content
+
+
+def mean(row: dict[str, Any], metric: str) -> float:
+    return float(row["metrics"][metric]["mean"])
 
 
 def save(path: Path, image: Array) -> None:
@@ -59,7 +64,7 @@ def fans(root: Path, count: int) -> Path:
 
 def shown(shot: RecordedImage) -> MeasuredImage:
     image, geometry = shot.read()
-    return scene_of(image, sector_of(image, geometry), shot.name)
+    return MeasuredImage(image, sector_of(image, geometry))
 
 
 def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
@@ -81,16 +86,16 @@ def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
 def test_figures_say_what_was_done(tmp_path: Path) -> None:
     (stretch,), _ = open_input(str(fans(tmp_path / "mdd", 1)))
     shared = shown(stretch.shots[0])
-    same = figures_of(shared.noisy, shared)
+    same = shared.figures(shared.noisy)
     assert same["edges_kept"] == pytest.approx(1)
     blurred = cv2.GaussianBlur(shared.noisy, (0, 0), 2)
-    smooth = figures_of(np.asarray(blurred, np.float32), shared)
+    smooth = shared.figures(np.asarray(blurred, np.float32))
     assert smooth["enl"] > 3 * same["enl"]
     assert smooth["edges_kept"] < 0.5
-    half = figures_of(shared.noisy / 2, shared)
+    half = shared.figures(shared.noisy / 2)
     for name in ("enl", "cnr", "edges_kept"):
         assert half[name] == pytest.approx(same[name], rel=1e-4), name
-    black = figures_of(np.zeros_like(shared.noisy), shared)
+    black = shared.figures(np.zeros_like(shared.noisy))
     assert math.isnan(black["edges_kept"])
 
 
@@ -105,7 +110,7 @@ def test_the_report_of_a_folder_without_static_groups(
     rows = {row["label"]: row for row in content["rows"]}
     assert list(rows) == ["noisy", "gaussian", "median", "broken"]
     assert "no such luck" in rows["broken"]["lost"]
-    assert rows["gaussian"]["means"]["enl"] > rows["noisy"]["means"]["enl"]
+    assert mean(rows["gaussian"], "enl") > mean(rows["noisy"], "enl")
     page = (out / "real.html").read_text(encoding="utf-8")
     assert page.count("data:image/png") == 2 * 3
     assert "lost:" in page
@@ -206,13 +211,14 @@ def test_a_shuffled_folder_is_judged_by_its_groups(tmp_path: Path) -> None:
     noisy = rows["noisy"]
     blurred = rows["gaussian tuned on others"]
     # Noise of .08, and an eleventh or seventh of it in the truth; levels take some away.
-    assert 20.5 < noisy["means"]["psnr_db"] < 23
-    assert blurred["means"]["gain_db"] > 5
+    assert 20.5 < mean(noisy, "psnr") < 23
+    assert mean(blurred, "gain_db") > 5
     assert len(blurred["parameters"]) == 2
-    low, high = blurred["intervals"]["psnr_db"]
-    assert low <= blurred["means"]["psnr_db"] <= high
-    assert content["best_filter"]["psnr_db"] == "gaussian tuned on others"
-    assert noisy["means"]["margin_db"] == pytest.approx(-blurred["means"]["gain_db"], abs=1e-6)
+    psnr_db = blurred["metrics"]["psnr"]
+    assert psnr_db["low"] <= psnr_db["mean"] <= psnr_db["high"]
+    assert content["best_filter"]["psnr"] == "gaussian tuned on others"
+    margin_db = noisy["against_best"]["psnr"]["mean"]
+    assert margin_db == pytest.approx(-mean(blurred, "gain_db"), abs=1e-6)
     text = (tmp_path / "out" / "real.md").read_text(encoding="utf-8")
     assert "2 static groups of 18 frames" in text
     # The example shows two rows and the truth.
@@ -229,8 +235,8 @@ def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -
     assert actual["judged"] == actual["frames"][4:]
     assert any("tuned on frames of its first half (4)" in note for note in content["notes"])
     rows = {row["label"]: row for row in content["rows"]}
-    assert rows["gaussian tuned on others"]["means"]["gain_db"] > 3
-    assert rows["noisy"]["intervals"] == {}
+    assert mean(rows["gaussian tuned on others"], "gain_db") > 3
+    assert rows["noisy"]["metrics"]["psnr"]["low"] is None
 
 
 def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
@@ -260,23 +266,34 @@ def blurred(grey: Any, geometry: object = None, **more: object) -> Any:
     return cv2.GaussianBlur(grey, (0, 0), 1.0)
 
 
-def timed(groups: list[Group], networks: list[Method], most: int = 20) -> tuple[Any, list[str]]:
-    settings: Any = SimpleNamespace(in_time=most, device="cpu")
+def timed(groups: list[Group], networks: list[Method], most: int = 24) -> tuple[Any, list[str]]:
+    settings: Any = SimpleNamespace(in_time=most, device="cpu", image_timeout_s=60)
     with TaskPool(1) as pool:
         return in_time.judged_in_time(settings, groups, networks, pool)
 
 
+def test_every_second_frame_is_input_and_the_frames_between_are_truth() -> None:
+    frames = np.arange(12, dtype=np.float32)[:, None, None] / 12 * np.ones((1, 16, 16), np.float32)
+    static = in_time.static_input(frames, np.ones((16, 16), bool))
+    np.testing.assert_array_equal(static.frames, frames[::2])
+    np.testing.assert_allclose(static.references, frames[1::2].mean() * np.ones((6, 16, 16)))
+    moving, ghost = list(in_time.kinds_of(static))[1:]
+    assert moving.frames.shape == (6, 9, 9)
+    assert set(np.unique(moving.frames[3])) == set(np.unique(frames[6])), "whole pixels"
+    assert not ghost.levels
+    assert (ghost.references[2] > 0.7).any()
+
+
 @pytest.mark.slow
 def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(in_time, "network", lambda weights, device: blurred)
-    monkeypatch.setattr(in_time, "WEIGHTS", (0.02, 0.04))
+    monkeypatch.setattr(sequences, "network", lambda weights, device: blurred)
     method = Method("one", "", {}, weights="one")
-    groups = [recording(tmp_path / f"{seed}.avi", seed, 14) for seed in (0, 1)]
-    actual, notes = timed(groups, [method], most=12)
+    groups = [recording(tmp_path / f"{seed}.avi", seed, 28) for seed in (0, 1)]
+    actual, notes = timed(groups, [method])
     rows = [
         "one: one frame",
-        "fused",
         "one: fused and denoised",
+        "fused",
         "mean of 7",
         "mean of 7 + tuned TV",
         "registered mean of 7 + tuned TV",
@@ -284,11 +301,11 @@ def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.Monk
     assert list(actual["row"].unique()) == rows
     assert list(actual["kind"].unique()) == ["static", "moving", "ghost"]
     assert len(actual) == 2 * 3 * len(rows)
-    psnr = actual.groupby(["kind", "row"])["psnr_db"].last()
+    psnr = actual.groupby(["kind", "row"])["psnr"].last()
     assert psnr["static", "mean of 7 + tuned TV"] > psnr["static", "mean of 7"]
     assert psnr["moving", "mean of 7"] < psnr["moving", "fused"]
     assert psnr["moving", "registered mean of 7 + tuned TV"] > psnr["moving", "mean of 7"] + 2
-    assert any("0.avi: tuned TV has weight" in n and "tuned on 1.avi" in n for n in notes)
+    assert any("0.avi: tuned TV (weight=" in n and "tuned on 1.avi" in n for n in notes)
     table = in_time.wide(actual, resamples=100, seed=0)
     assert all(" .. " in cell for cell in table["static, dB / SSIM"]), "two recordings"
     single = in_time.wide(actual[actual["recording"] == "0.avi"], resamples=100, seed=0)
@@ -296,7 +313,7 @@ def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.Monk
     assert list(table) == ["row", *(f"{k}, dB / SSIM" for k in ("static", "moving", "ghost"))]
     assert list(table["row"]) == rows
     _, alone = timed(groups[:1], [method])
-    assert "tuned on the first 12 frames of itself" in alone[0]
+    assert "tuned on the first 6 input frames of itself" in alone[0]
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,6 +23,7 @@ from simnfnd.evaluation.judging.methods import NOISY, Method
 from simnfnd.evaluation.judging.pairs import JudgedPair
 from simnfnd.evaluation.judging.runner import SECONDS, Measured
 from simnfnd.evaluation.metrics import statistics
+from simnfnd.evaluation.metrics.measure import METRICS
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report import tables
 from simnfnd.evaluation.report.compare import compare, read_results
@@ -61,13 +62,13 @@ def test_a_shadow_column_that_tells_no_rows_apart_is_left_out() -> None:
         }
         common: dict[str, Any] = {
             "lost": None,
-            "parameters": {},
+            "parameters": [],
             "against_noisy": {},
-            "milliseconds": 1.0,
+            "cpu_s": 0.001,
         }
         return {"label": name, "metrics": metrics, **common}
 
-    label = tables.METRIC_NAMES["shadow_iou"].label
+    label = METRICS["shadow_iou"].label
     assert label not in tables.leaderboard([row("noisy", 0.0), row("median", 0.0003)]).columns
     assert label in tables.leaderboard([row("noisy", 0.0), row("median", 0.3)]).columns
 
@@ -213,14 +214,14 @@ def test_compare_says_which_is_better(
 def test_reports_on_real_images_are_tabulated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def row(label: str, psnr_db: float, network: bool = False) -> dict[str, Any]:
-        means = {"psnr_db": psnr_db, "ssim": 0.7}
-        return {"label": label, "network": network, "lost": None, "means": means}
+    def row(label: str, psnr_db: float, kind: str = "baseline") -> dict[str, Any]:
+        metrics = {"psnr": {"mean": psnr_db}, "ssim": {"mean": 0.7}}
+        return {"label": label, "kind": kind, "lost": None, "metrics": metrics}
 
     for name, offset in (("aris", 0.0), ("lamprey", 4.0)):
         rows = [row("noisy", 25 + offset), row("tv tuned on others", 29 + offset)]
-        rows.append(row(f"outputs/{name}/both", 29.5 + offset, network=True))
-        best = {"psnr_db": "tv tuned on others", "ssim": None}
+        rows.append(row(f"outputs/{name}/both", 29.5 + offset, kind="network"))
+        best = {"psnr": "tv tuned on others"}
         report = {"name": name, "best_filter": best, "rows": rows}
         (tmp_path / name).mkdir()
         (tmp_path / name / "real.json").write_text(json.dumps(report), encoding="utf-8")

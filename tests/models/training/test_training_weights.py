@@ -73,11 +73,14 @@ def test_a_card_holds_recipe_curve_cost_and_figures(weights: Path, tmp_path: Pat
     config = "# simnfnd train experiment=own\nseed: 3\n"
     (tmp_path / "config.yaml").write_text(config, encoding="utf-8")
     report = {
-        "name": "lamprey2", "best_filter": {"psnr_db": "tv"},
+        "name": "lamprey2",
         "rows": [
-            {"label": label, "network": label == "own", "lost": None,
-             "means": {"psnr_db": psnr_db, "ssim": 0.7}}
-            for label, psnr_db in (("noisy", 29.8), ("tv", 32.8), ("median", 31.0), ("own", 33.6))
+            {"label": label, "kind": kind, "lost": None,
+             "metrics": {"psnr": {"mean": psnr_db}, "ssim": {"mean": 0.7}}}
+            for label, kind, psnr_db in (
+                ("noisy", "noisy", 29.8), ("tv", "baseline", 32.8), ("median", "baseline", 31.0),
+                ("own", "network", 33.6),
+            )
         ],
     }  # fmt: skip
     (tmp_path / "real.json").write_text(json.dumps(report), encoding="utf-8")
