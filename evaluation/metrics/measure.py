@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from ...factory.common.array_types import Array, Bools, Float32s, Float64s, Floats, Int64s
+from ...factory.dataset.quality import decibels
 from . import fidelity as metrics
 
 Grey = Float32s
@@ -141,10 +142,10 @@ class MeasuredPair:
         similarity = reference.ssim_map(values)
         gradients = reference.gms_map(values)
         return {
-            "psnr": metrics.decibels(float(squared.mean()), 1.0),
+            "psnr": decibels(float(squared.mean())),
             "ssim": metrics.mean_ssim(similarity),
             "gmsd": metrics.deviation(gradients),
-            "psnr_fan": metrics.decibels(float(squared[pair.sector].mean()), 1.0),
+            "psnr_fan": decibels(float(squared[pair.sector].mean())),
             "ssim_fan": metrics.mean_ssim(similarity, pair.sector),
             "gmsd_fan": metrics.deviation(gradients, pair.sector),
             "shadow_iou": metrics.shadow_iou(

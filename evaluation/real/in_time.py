@@ -27,7 +27,7 @@ from ..filters import Parameters
 from ..filters.windows import mean_around
 from ..judging.methods import Method, shown
 from ..judging.runner import Denoised, Measured, Subject, run
-from ..judging.sequences import SequenceMethod, denoise_frames
+from ..judging.sequences import How, SequenceMethod, denoise_frames
 from ..judging.settings import RealSettings
 from ..judging.tuning import TuningImage, TuningTask, on_frames
 from ..metrics.measure import Figures, Grey, likeness
@@ -223,7 +223,8 @@ def _methods_of(networks: Sequence[Method], tv: tuple[Parameters, ...]) -> list[
     mean = f"mean of {FRAMES}"
     methods = []
     for model in networks:
-        for name, how in (("one frame", "single"), ("fused and denoised", "fusion")):
+        rows: dict[str, How] = {"one frame": "single", "fused and denoised": "fusion"}
+        for name, how in rows.items():
             label = f"{model.label}: {name}"
             methods.append(
                 SequenceMethod(label, "", {}, weights=model.weights, how=how, window=FRAMES)

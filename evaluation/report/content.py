@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ...factory.dataset.quality import PSNR_CAP_DB
 from ..judging.methods import NOISY, Method
 from ..judging.pairs import JudgedPair
 from ..judging.runner import SECONDS, Measured
 from ..judging.settings import EvaluationSettings
-from ..metrics.fidelity import PSNR_CAP_DB
 from ..metrics.measure import METRICS
 from ..metrics.statistics import LEAST_FRAMES, Estimate, estimate, holm, paired
 from .paper_tables import table_2_beside, table_3_beside
