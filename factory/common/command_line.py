@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import io
 import os
 import re
 import signal
@@ -48,6 +49,10 @@ class Parser(argparse.ArgumentParser):
 
 def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
     """Run `action`; turn an error that a user can correct into one line and an exit code."""
+    for output in (sys.stdout, sys.stderr):
+        if isinstance(output, io.TextIOWrapper):
+            # Names of files may hold any bytes; they are printed as they are.
+            output.reconfigure(errors="surrogateescape")
     try:
         result = action()
         return result if isinstance(result, int) else 0

@@ -45,7 +45,13 @@ def denoise_files(items: Sequence[InputFile], job: DenoisingJob) -> None:
         try:
             _denoise_recording(items[0], job)
         except FrameError as error:
-            job.failures.append(str(error))
+            job.failures.append(_named(items[0], error))
+
+
+def _named(item: InputFile, error: Exception) -> str:
+    """What is wrong with a file, beginning with its name."""
+    text = str(error)
+    return text if text.startswith(str(item.source)) else f"{item.source}: {text}"
 
 
 def _denoise_images(items: Sequence[InputFile], job: DenoisingJob) -> None:
@@ -79,9 +85,7 @@ class _Images:
                 (item, image), image, place, wanted=wanted, settings=settings
             )
         except (FactoryError, ValueError) as error:
-            text = str(error)
-            named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
-            self._job.failures.append(named)
+            self._job.failures.append(_named(item, error))
             return
         self._write(self._sequence.push(shot))
 
@@ -104,7 +108,7 @@ class _Images:
             try:
                 _write_results(item, image, denoised, self._job)
             except FrameError as error:
-                self._job.failures.append(str(error))
+                self._job.failures.append(_named(item, error))
                 continue
             self._job.done(item, report, self._job.denoise.name, is_listed=self._is_single)
             self._total.merge(report, item.relative.name)

@@ -19,7 +19,7 @@ from ...factory.common.array_types import Array, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.workers.machine import usable_cores
 from ...factory.dataset.fan_geometry import FanGeometry
-from ..recordings.base import FULL_SCALE, SonarFrame, colours_of, white_of
+from ..recordings.base import FULL_SCALE, SonarFrame, colours_of, range_problem, white_of
 from ..recordings.device_settings import RecordedSettings, settings_of
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
 from ..recordings.views import polar_geometry
@@ -386,13 +386,9 @@ def check(image: Array) -> None:
             f"image has shape {image.shape}; expected (H, W), or (H, W, C) with C 1 (grey), 2 "
             "(grey and alpha), 3 or 4 (colours and alpha)"
         )
-    if image.dtype == np.float32:
-        colours = colours_of(image)
-        if not (colours.min() >= 0 and colours.max() <= 1):
-            raise OutOfRange(
-                f"float pixels must lie in 0..1, these are {colours.min():g} to {colours.max():g}; "
-                "scale them, as by (image - low) / (high - low)"
-            )
+    problem = range_problem(colours_of(image))
+    if problem:
+        raise OutOfRange(problem)
 
 
 def levels_of(image: Array) -> Float32s:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -158,4 +159,4 @@ def write_table(out: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n", extrasaction="ignore")
     table.writeheader()
     table.writerows(rows)
-    write_atomically(out / TABLE, text.getvalue().encode(), key="--out")
+    write_atomically(out / TABLE, os.fsencode(text.getvalue()), key="--out")

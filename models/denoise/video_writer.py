@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,6 @@ import numpy as np
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ..recordings.videos import VideoProperties, narrowed
-from .pixel_aspect import state_pixel_aspect
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +85,6 @@ CONTAINERS: dict[str, tuple[str, Codec]] = {
 """Suffix -> FFmpeg's name of the container, and the codec that is written into it."""
 FALLBACK = ".mkv"
 _EQUAL_TIMES = ("matroska",)
-_BY_HEADER = ("matroska", "webm", "avi")
-"""Containers that state the shape of pixels in a header which FFmpeg leaves out."""
 
 
 def target_of(path: Path, video: VideoProperties) -> tuple[Path, str]:
@@ -126,7 +124,7 @@ def write_video(
             writer.write(number, timed)
         if writer is not None:
             writer.finish()
-    return "" if writer is None else _state_shape(file, container, video, writer.size)
+    return "" if writer is None else _lost_shape(av, file, container, video.pixel_aspect)
 
 
 def _texts_for(container: str, video: VideoProperties) -> dict[str, str]:
@@ -137,19 +135,17 @@ def _texts_for(container: str, video: VideoProperties) -> dict[str, str]:
     return texts
 
 
-def _state_shape(file: Path, container: str, video: VideoProperties, size: tuple[int, int]) -> str:
-    """State the shape of pixels where FFmpeg does not; returns a line where there is no room.
-
-    size: (H, W) of the images.
-    """
-    aspect = video.pixel_aspect
-    if aspect == 1 or container not in _BY_HEADER:
+def _lost_shape(av: Any, file: Path, container: str, aspect: Fraction) -> str:
+    """A line where a written file does not state the shape of its pixels; mostly empty."""
+    if aspect == 1:
         return ""
-    if state_pixel_aspect(file, container, size, aspect):
+    with av.open(str(file), format=container) as written:
+        stated = written.streams.video[0].sample_aspect_ratio or 1
+    if stated == aspect:
         return ""
     return (
-        f"the shape of its pixels ({aspect.numerator}:{aspect.denominator}) is lost, {container} "
-        "has no room for it; copy the input into an .mkv file to keep it"
+        f"the shape of its pixels ({aspect.numerator}:{aspect.denominator}, width by height) is "
+        f"lost: {container} does not state it for this codec"
     )
 
 

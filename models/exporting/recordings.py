@@ -165,7 +165,7 @@ def _write_table(recording: Recording, chosen: _Chosen) -> int:
     with (
         whole_file(chosen.target) as partial,
         explain_os_errors(chosen.target, "--out"),
-        partial.open("w", newline="", encoding="utf-8") as file,
+        partial.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,
     ):
         table = csv.DictWriter(file, columns, lineterminator="\n")
         table.writeheader()

@@ -19,7 +19,17 @@ from PIL import Image
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
-from .base import Ended, Recording, SonarFrame, ask_bytes, ask_pixels, explained, swapped, untinted
+from .base import (
+    WITHOUT_ALPHA,
+    Ended,
+    Recording,
+    SonarFrame,
+    ask_bytes,
+    ask_pixels,
+    explained,
+    swapped,
+    untinted,
+)
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEAD_BYTES = 4096  # within which a PNG says that it is animated
@@ -86,6 +96,8 @@ class Animation(Recording):
                 f"{name}: animated colours of 16 bits cannot be read; save the frames as PNG files"
             )
         self.is_grey = self._image.mode in ("L", "I;16", "1")
+        if self._image.has_transparency_data and not self.warning:
+            self.warning = f"{name}: {WITHOUT_ALPHA}"
         self.loops = int(self._image.info.get("loop", 0))
 
     def _whole(self, head: bytes) -> _Whole:

@@ -46,6 +46,7 @@ ALWAYS_BYTES = 1 << 28
 MOST_BYTES = 1 << 31
 MOST_PIXELS = 1 << 26  # of an image, whatever it is packed into
 TOO_LARGE = f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
+WITHOUT_ALPHA = "has transparency, which is not kept: what is under it shows"
 MOST_TINT = 6
 """Grey levels of 255; codecs tint grey images by a few, and differently in each frame."""
 MOST_RANGES = 8192
@@ -295,12 +296,27 @@ def as_samples(page: Array, name: str) -> Array:
             page = page.astype(np.float32)
     if str(page.dtype) not in FULL_SCALE:
         raise FrameError(f"{name}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}")
-    if page.dtype == np.float32 and not (page.min() >= 0 and page.max() <= 1):
-        raise FrameError(
-            f"{name}: floats must be grey values from 0 to 1, these are {page.min():g} to "
-            f"{page.max():g}; scale them (of echoes in linear units the logarithm)"
-        )
+    problem = range_problem(page)
+    if problem:
+        raise FrameError(f"{name}: {problem}")
     return page
+
+
+def range_problem(image: Array) -> str:
+    """What keeps the floats of an image from being grey values, and the remedy; empty: nothing."""
+    if image.dtype != np.float32 or (image.min() >= 0 and image.max() <= 1):
+        return ""
+    finite = image[np.isfinite(image)]
+    span = f"{finite.min():g} to {finite.max():g}" if finite.size else "none"
+    if finite.size < image.size:
+        return (
+            f"{image.size - finite.size:,} of {image.size:,} pixels are NaN or infinite (the "
+            f"others: {span}); put 0 (black) where there is no echo"
+        )
+    return (
+        f"floats must be grey values from 0 to 1, these are {span}; scale them (of echoes in "
+        "linear units the logarithm)"
+    )
 
 
 def colours_of(image: Array) -> Array:

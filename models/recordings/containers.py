@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import IO, NamedTuple
+from typing import IO
 
 _BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
-MATROSKA = b"\x1a\x45\xdf\xa3"
-SEGMENT = b"\x18\x53\x80\x67"
+_MATROSKA = b"\x1a\x45\xdf\xa3"
 _MOST_PARTS = 100_000
 """Top-level parts that are looked at: a fragmented recording has one a second."""
 
@@ -18,15 +17,15 @@ def container_of(head: bytes) -> str | None:
         return "avi"
     if head[4:8] in _BOXES:
         return "mov"
-    if head[:4] == MATROSKA:
+    if head[:4] == _MATROSKA:
         return "matroska"
     return None
 
 
 def is_cut_short(file: IO[bytes], size: int, container: str) -> bool:
-    """Whether a part of the container says to end beyond the file's `size` bytes."""
-    ends = {"avi": _end_of_riff, "mov": _end_of_boxes, "matroska": _end_of_segment}
-    return ends[container](file, size) > size
+    """Whether a part of an AVI, MP4 or MOV file says to end beyond the file's `size` bytes."""
+    ends = {"avi": _end_of_riff, "mov": _end_of_boxes}
+    return container in ends and ends[container](file, size) > size
 
 
 def _end_of_riff(file: IO[bytes], size: int) -> int:
@@ -70,66 +69,6 @@ def _boxes(file: IO[bytes], size: int) -> Iterator[tuple[bytes, int]]:
         yield header[4:8], offset
         if offset >= size:
             return
-
-
-def _end_of_segment(file: IO[bytes], size: int) -> int:
-    """Where the segment of a Matroska file ends (RFC 9559), or its last part of known length."""
-    offset = _after_element(file, 0)
-    element = element_at(file, offset) if offset is not None else None
-    if element is None or element.identifier != SEGMENT:
-        return 0
-    if element.length is not None:
-        return element.content + element.length
-    # A live stream: its parts may say how long they are.
-    part = element.content
-    for _ in range(_MOST_PARTS):
-        after = _after_element(file, part)
-        if after is None or after > size:
-            return after or 0
-        part = after
-    return 0
-
-
-def _after_element(file: IO[bytes], offset: int) -> int | None:
-    """Where the element that begins at `offset` ends; None where it does not say."""
-    element = element_at(file, offset)
-    if element is None or element.length is None:
-        return None
-    return element.content + element.length
-
-
-class Element(NamedTuple):
-    """An EBML element.
-
-    content: offset of its content in the file.  length: bytes of the content; None: not stated.
-    """
-
-    identifier: bytes
-    content: int
-    length: int | None
-
-
-def element_at(file: IO[bytes], offset: int) -> Element | None:
-    """The element at an offset; None where there is none."""
-    header = _bytes_at(file, offset, 12)
-    id_length = _vint_length(header[:1])
-    if id_length is None or id_length > 4:
-        return None
-    size_length = _vint_length(header[id_length : id_length + 1])
-    if size_length is None or len(header) < id_length + size_length:
-        return None
-    field = header[id_length : id_length + size_length]
-    mask = (1 << 7 * size_length) - 1
-    length = int.from_bytes(field, "big") & mask
-    content = offset + id_length + size_length
-    return Element(header[:id_length], content, None if length == mask else length)
-
-
-def _vint_length(first: bytes) -> int | None:
-    """Bytes of a number whose first byte is this: one more than its leading zero bits."""
-    if not first or first[0] == 0:
-        return None
-    return 9 - first[0].bit_length()
 
 
 def _bytes_at(file: IO[bytes], offset: int, count: int) -> bytes:

@@ -30,6 +30,7 @@ from .base import (
     Recording,
     SonarFrame,
     explained,
+    range_problem,
 )
 
 KIND: extensions.Kind = "recording"
@@ -216,8 +217,9 @@ def _checked_samples(samples: Any, name: str) -> Array:
     is_image = native.ndim == 2 or (native.ndim == 3 and native.shape[2] <= 4)
     if not is_image or not 0 < native.size <= 4 * MOST_PIXELS:
         raise FrameError(f"{name}: samples have the shape {native.shape}")
-    if native.dtype == np.float32 and not (native.min() >= 0 and native.max() <= 1):
-        raise FrameError(f"{name}: float samples must lie in 0..1; scale them in the reader")
+    problem = range_problem(native)
+    if problem:
+        raise FrameError(f"{name}: {problem}")
     return native
 
 

@@ -19,7 +19,16 @@ import numpy as np
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ...factory.common.extras import Need, require
-from .base import MOST_PIXELS, Ended, Recording, SonarFrame, ask_pixels, explained, untinted
+from .base import (
+    MOST_PIXELS,
+    WITHOUT_ALPHA,
+    Ended,
+    Recording,
+    SonarFrame,
+    ask_pixels,
+    explained,
+    untinted,
+)
 from .containers import container_of, has_index, is_cut_short
 from .orientation import UPRIGHT, Orientation, orientation_of_matrix
 
@@ -105,6 +114,7 @@ class VideoFile(Recording):
             self._stated_s = self._duration_s(stream)
             stated = stream.frames or round((self._stated_s or 0) * (self.rate_hz or 0))
             first = self._first_frame(stream)
+            self._has_alpha = any(component.is_alpha for component in first.format.components)
             self.properties = VideoProperties(
                 bits=max(8, *(component.bits for component in first.format.components)),
                 is_grey=_is_grey_format(first.format),
@@ -279,16 +289,23 @@ class VideoFile(Recording):
         return _Timing(time_s, duration or None)
 
     def _warning(self, reading: _Reading) -> str:
-        """What is wrong with the file, in one line; empty where nothing is."""
+        """What is wrong with the file and what is lost, in one line; mostly empty."""
+        problems = [self._damage(reading)]
+        if self._has_alpha:
+            problems.append(WITHOUT_ALPHA)
+        text = "; ".join(filter(None, problems))
+        return f"{self.path}: {text}" if text else ""
+
+    def _damage(self, reading: _Reading) -> str:
         whole = f"its {reading.frames} whole frames are read"
         if self._cut_short or reading.ended_early:
-            return f"{self.path}: is cut short; {whole}"
+            return f"is cut short; {whole}"
         if reading.damaged:
-            return f"{self.path}: {reading.damaged} damaged frames are left out; {whole}"
+            return f"{reading.damaged} damaged frames are left out; {whole}"
         frame_s = 1 / self.rate_hz if self.rate_hz else 0.1
         if self._stated_s is not None and self._stated_s > reading.end_s + 2 * frame_s + 0.01:
             return (
-                f"{self.path}: says that it lasts {self._stated_s:.2f} s and ends after "
+                f"says that it lasts {self._stated_s:.2f} s and ends after "
                 f"{reading.end_s:.2f} s; {whole}"
             )
         return ""

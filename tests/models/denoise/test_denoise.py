@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -97,6 +98,21 @@ def test_images_keep_name_size_and_dtype(
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert main(arguments) == 0
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_names_may_hold_any_bytes(tmp_path: Path, weights: Path) -> None:
+    """As Latin-1 writes them on a disk of UTF-8."""
+    folder = os.fsencode(tmp_path / "in")
+    os.mkdir(folder)
+    content = cv2.imencode(".png", np.full((40, 40), 90, np.uint8))[1].tobytes()
+    names = [b"plong\xe9e_0000.png", b"plong\xe9e_0001.png", b"good.png"]
+    for name in names:
+        Path(os.fsdecode(os.path.join(folder, name))).write_bytes(content)
+    words = [str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--weights", str(weights)]
+    assert main(words) == 0
+    assert set(names) < set(os.listdir(os.fsencode(tmp_path / "out")))
+    assert b"plong\xe9e_0000.png," in (tmp_path / "out" / "denoised.csv").read_bytes()
+    assert main(words) == 0  # its journal is read
 
 
 def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ def test_bags_that_cannot_be_denoised_are_skipped(
     (out / "there").mkdir(parents=True)
     assert main([str(folder), "--out", str(out)]) == 1
     said = capsys.readouterr().err
-    assert "loud.bag: frame 0: float pixels must lie in 0..1" in said
+    assert "loud.bag: frame 0: floats must be grey values from 0 to 1" in said
     assert "short.bag: cannot be read" in said
     assert "rosbag reindex" in said
     assert "there: exists already; remove it, or give another --out" in said

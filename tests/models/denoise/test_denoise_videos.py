@@ -5,7 +5,9 @@ from __future__ import annotations
 import resource
 import signal
 from fractions import Fraction
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +23,8 @@ from tests.models.adapt.scenes import noisy, scene
 from tests.models.denoise.untrained import main, results_in, through_network
 from tests.models.recordings.video_files import decoded, encode
 from tests.small_dataset import fan_images
+
+TENTH = Fraction(1, 10)
 
 
 def fans(count: int) -> Array:
@@ -224,3 +228,25 @@ def test_a_video_is_painted_again(tmp_path: Path) -> None:
     with open_recording(tmp_path / "out" / "a.avi") as denoised:
         for before, after in zip(frames, denoised, strict=True):
             assert away(after.samples, jet(before / 2)) < 8, "a codec of video mixes colours"
+
+
+def test_a_video_whose_frames_change_size_is_named(
+    weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    av: Any = import_module("av")
+    (tmp_path / "in").mkdir()
+    with av.open(str(tmp_path / "in" / "harbour.mkv"), "w") as output:
+        stream = output.add_stream("mjpeg", rate=10)
+        stream.height, stream.width, stream.pix_fmt = 48, 48, "yuvj420p"
+        for number, frame in enumerate(fans(4)):
+            image = frame if number < 2 else np.kron(frame, np.ones((2, 2), np.uint8))
+            packet = av.Packet(cv2.imencode(".jpg", image)[1].tobytes())
+            packet.stream, packet.pts, packet.dts, packet.time_base = stream, number, number, TENTH
+            packet.is_keyframe = True
+            output.mux(packet)
+    encode(tmp_path / "in" / "river.mkv", fans(2))
+    words = [str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--weights", str(weights)]
+    assert main([*words, "--geometry", "none"]) == 1
+    said = capsys.readouterr().err
+    assert "harbour.mkv: frame 2 has 96 x 96 pixels, the first 48 x 48" in said
+    assert results_in(tmp_path / "out") == ["river.mkv"]

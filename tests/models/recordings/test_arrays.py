@@ -83,8 +83,8 @@ def test_tables_are_no_images(tmp_path: Path, array: Any) -> None:
     [
         (np.full((20, 20), 3.5), "from 0 to 1, these are 3.5 to 3.5; scale them"),
         (np.full((20, 20), -40.0), "from 0 to 1, these are -40 to -40; scale them"),
-        (np.full((20, 20), np.nan), "from 0 to 1, these are nan to nan"),
-        (np.full((20, 20), 1e300), "from 0 to 1, these are inf to inf"),
+        (np.full((20, 20), np.nan), "400 of 400 pixels are NaN"),
+        (np.full((20, 20), 1e300), "400 of 400 pixels are NaN or infinite"),
         (np.zeros((20, 20), np.int32), "pixels are int32; expected uint8, uint16, float32"),
     ],
 )
