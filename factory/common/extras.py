@@ -32,7 +32,6 @@ EXTRAS = {
     "onnxruntime": "denoise",
     "matplotlib": "figures",
     "rosbags": "ros",
-    "hdf5plugin": "zstd",
     "s3fs": "cloud",
 }
 """Module -> the extra of pyproject.toml that installs it."""

@@ -10,8 +10,6 @@ import numpy as np
 from .errors import FactoryError
 from .small_files import one_line, read_regular
 
-_MOST_LIST_BYTES = 1 << 28
-
 
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
     """(line number, text) of the lines that are neither empty nor comments (`#`).
@@ -24,7 +22,7 @@ def numbered_lines(path: Path) -> list[tuple[int, str]]:
 def text_lines(path: Path) -> list[tuple[int, str]]:
     """(line number, text) of the lines that are not empty; see `numbered_lines`."""
     try:
-        text = read_regular(path, _MOST_LIST_BYTES).decode("utf-8-sig")
+        text = read_regular(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise FactoryError(
             f"{path}: not a text file that can be read ({one_line(error)})"

@@ -79,11 +79,6 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
         with suppress(OSError):
             head = read_regular(directory / CONFIG_NAME).partition(b"\n")[0]
             same = head.endswith(f"config hash {provenance.config_hash}".encode())
-    if not same and manifest and (edited := _edited_extensions(manifest.config, provenance.config)):
-        raise FactoryError(
-            f"dataset.dir: {directory} was made by other code of {edited}; remove this folder, or "
-            "give another one with dataset.dir= (renders in the cache are used again)"
-        )
     if not same:
         raise FactoryError(
             f"dataset.dir: {directory} holds a dataset of another configuration "
@@ -96,28 +91,6 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
             f"{provenance.generator}; give another folder with dataset.dir="
         )
     return manifest
-
-
-def _edited_extensions(stored: Mapping[str, Any], current: Mapping[str, Any]) -> str:
-    """Names of the extensions whose code has changed; "" where anything else differs, too."""
-    before, after = (dict(plain_values(config)) for config in (stored, current))
-    codes = [_codes(values.pop("extensions", None)) for values in (before, after)]
-    if before != after or codes[0].keys() != codes[1].keys():
-        return ""
-    return ", ".join(name for name, code in codes[0].items() if code != codes[1][name])
-
-
-def _codes(extensions: Any) -> dict[str, tuple[str, str]]:
-    """Kind and name of each extension -> its version and the hash of its source."""
-    listed = extensions if isinstance(extensions, list) else []
-    known = [item for item in listed if isinstance(item, Mapping)]
-    return {
-        f"{item.get('kind')} {item.get('name')}": (
-            str(item.get("version")),
-            str(item.get("source")),
-        )
-        for item in known
-    }
 
 
 def differences(
@@ -142,6 +115,8 @@ def differences(
 
 
 def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
+        value = dict(enumerate(value))
     if isinstance(value, Mapping) and value:
         for key, item in value.items():
             yield from _leaves(item, f"{prefix}.{key}" if prefix else str(key))

@@ -6,6 +6,7 @@ While a run goes on, what became of a shard lies in a file beside it: train/shar
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
@@ -14,7 +15,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..common.errors import FactoryError
-from ..common.files import explain_os_errors, remove_file, sha256_of, write_atomically
+from ..common.files import (
+    explain_os_errors,
+    real_path,
+    remove_file,
+    sha256_of,
+    write_atomically,
+)
 from ..common.small_files import one_line, parse_json, read_regular
 from .frame_ref import FrameRef
 from .schema import SCHEMA, SPLITS, config_hash
@@ -28,8 +35,6 @@ CONFIG_NAME = "config.yaml"
 PARTS = ("merged", "extends")
 FAILURE_KEYS = ("frame", "shard", "kind", "reason", "command")
 
-# Room for 300,000 shards, which take some 400 bytes each.
-_MAX_BYTES = 1 << 27
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/[A-Za-z0-9_-]+\.h5")
 
 
@@ -144,7 +149,7 @@ def load_manifest(directory: Path) -> Manifest | None:
     """
     path = directory / MANIFEST_NAME
     try:
-        document = parse_json(read_regular(path, _MAX_BYTES))
+        document = parse_json(read_regular(path))
         if document["schema"] != SCHEMA:
             raise ValueError(f"schema is {document['schema']!r}, expected {SCHEMA!r}")
         shards = [ShardInfo.of(item) for item in document["shards"]]
@@ -192,33 +197,32 @@ def _totals(shards: Iterable[ShardInfo]) -> dict[str, dict[str, int]]:
 
 def totals_problem(directory: Path) -> str | None:
     """What is wrong with `totals` of a manifest.json that `load_manifest` has read, or None."""
-    document = parse_json(read_regular(directory / MANIFEST_NAME, _MAX_BYTES))
-    stated = document.get("totals")
+    document = parse_json(read_regular(directory / MANIFEST_NAME))
     counted = _totals(ShardInfo.of(item) for item in document["shards"])
-    for split, counts in counted.items():
-        claims = stated.get(split) if isinstance(stated, dict) else None
-        for key, count in counts.items():
-            claim = claims.get(key) if isinstance(claims, dict) else None
-            if type(claim) is not int or claim != count:
-                shown = "absent" if claim is None else str(claim)[:40]
-                return (
-                    f"totals.{split}.{key} is {shown}, the listed shards have {count}; run the "
-                    "command that made the dataset again"
-                )
-    return None
+    if document.get("totals") == counted:
+        return None
+    return f"its totals are not {counted}, those of the listed shards; make the dataset again"
 
 
-def damage(directory: Path, info: ShardInfo) -> str | None:
-    """What is wrong with a finished shard on disk (absent, size, SHA-256), or None."""
+def is_inside(root: Path, path: Path) -> bool:
+    """Whether `path`, links followed, is a regular file below `root`."""
+    return real_path(path).is_relative_to(real_path(root)) and os.path.isfile(path)
+
+
+def damage(directory: Path, info: ShardInfo, *, whole: bool = True) -> str | None:
+    """What is wrong with a finished shard on disk (absent, size, SHA-256), or None.
+
+    whole: compare the SHA-256, too, for which all of the file is read.
+    """
     path = directory / info.path
     fetched(path)
     try:
         size = path.stat().st_size
         if size != info.bytes:
-            return f"{size} bytes instead of {info.bytes}"
-        return None if sha256_of(path) == info.sha256 else "SHA-256 differs"
+            return f"{size} bytes, the manifest says {info.bytes}"
+        return "SHA-256 differs" if whole and sha256_of(path) != info.sha256 else None
     except FileNotFoundError:
-        return "absent"
+        return "listed in the manifest but absent"
     except OSError as error:
         return f"cannot be read ({error.strerror})"
 
@@ -327,7 +331,7 @@ def load_failures(directory: Path) -> Lines:
     """
     path = directory / FAILURES_NAME
     try:
-        content = read_regular(path, _MAX_BYTES) if path.exists() else b""
+        content = read_regular(path) if path.exists() else b""
         items = _lines(parse_json(line) for line in content.decode().split("\n")[:-1])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FactoryError(

@@ -39,7 +39,6 @@ from .schema import layers as known_layers
 from .storage import local_folder
 
 WINDOW = 16
-THREADS = 4
 
 Sample = dict[str, Array]
 
@@ -287,7 +286,7 @@ class PairDataset:
         Reads the tables of all shards, never their images.
         """
         # Those at a URL are fetched on the way.
-        with ThreadPoolExecutor(THREADS) as pool:
+        with ThreadPoolExecutor() as pool:
             return np.concatenate(list(pool.map(self.table, self.paths)))
 
     def table(self, path: Path) -> npt.NDArray[np.void]:

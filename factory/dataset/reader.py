@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,16 +14,13 @@ import numpy as np
 
 from ..common.array_types import Array
 from ..common.errors import FactoryError
-from ..common.isolated import call_isolated
-from .layout import DEFLATE, check_shard, check_texts, crc32, inside
-from .manifest import Manifest, ShardInfo
+from ..common.isolated import LIMIT_S, call_isolated
+from .layout import DEFLATE, check_shard, check_texts, crc32
+from .manifest import Manifest, ShardInfo, damage, is_inside
 from .schema import CHECKSUMS, SPLITS, VALUE_RANGES
 from .storage import fetched, url_of
 
 Split = Literal["train", "test", "all"]
-
-# Opening a shard takes milliseconds; a disk that sleeps takes seconds to wake.
-_LIMIT_S = 30.0
 
 
 def listed_shards(
@@ -60,17 +56,12 @@ def listed_shards(
         raise FactoryError(f"dataset={root}: the {split} split is empty; {alternative}")
     # What lies at a URL is fetched, and looked at, when it is opened.
     for path, info in () if url_of(root) else chosen.items():
-        problem = ""
-        if not path.exists():
-            problem = "listed in the manifest but absent"
-        elif not follow_links and not inside(root, path):
+        if not follow_links and path.exists() and not is_inside(root, path):
             raise FactoryError(
                 f"{path}: leads out of the dataset's folder; not read: copy the dataset with "
                 "`cp -rL`, or open your own with PairDataset(..., trusted=True)"
             )
-        elif info and info.bytes != (size := path.stat().st_size):
-            problem = f"{size} bytes, the manifest says {info.bytes}"
-        if problem:
+        if info and (problem := damage(root, info, whole=False)):
             raise FactoryError(f"{path}: {problem}; run the command that made the dataset again")
     return chosen
 
@@ -83,7 +74,7 @@ def check_in_isolation(paths: Iterable[Path]) -> None:
     """
     for path in paths:
         if path.exists() or not url_of(path.parent.parent):
-            call_isolated(path, check_readable, path, limit_s=_LIMIT_S)
+            call_isolated(path, check_readable, path, limit_s=LIMIT_S)
 
 
 def check_readable(path: Path) -> None:
@@ -98,7 +89,7 @@ def bring(path: Path) -> None:
 
     def check(aside: Path) -> None:
         try:
-            call_isolated(aside, check_readable, aside, limit_s=_LIMIT_S)
+            call_isolated(aside, check_readable, aside, limit_s=LIMIT_S)
         except FactoryError as error:
             raise FactoryError(str(error).replace(str(aside), str(path))) from error
         # It keeps its state when it gets its name, and no other process writes it.
@@ -140,8 +131,7 @@ def open_shard(path: Path) -> h5py.File:
     except FactoryError:
         file.close()
         raise
-    if time.time_ns() - state[2] >= _SETTLED_NS:
-        _sound[path] = state
+    _sound[path] = state
     return file
 
 
@@ -167,8 +157,6 @@ def _explained(path: Path) -> Iterator[None]:
 # Shards that this process has found sound, by (inode, bytes, time of change in ns): a check takes
 # twenty times as long as opening a file, and random access opens one for every sample.
 _sound: dict[Path, tuple[int, int, int]] = {}
-# A file that changed so lately can change again without its time telling.
-_SETTLED_NS = 2_000_000_000
 
 
 def _state_of(path: Path) -> tuple[int, int, int]:

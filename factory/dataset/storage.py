@@ -31,7 +31,6 @@ _SMALL = re.compile(
     r"README\.md|config\.yaml|index\.h5|preview\.png|failed\.jsonl|manifest\.json"
     r"|(train|test)/shard-\d+\.json"
 )
-_MOST_SMALL_BYTES = 1 << 28
 _FOLDER = "SIMNFND_CLOUD_CACHE"
 _LIMIT = "SIMNFND_CLOUD_CACHE_BYTES"
 _KEPT_BYTES = 10_000_000_000
@@ -144,7 +143,7 @@ def url_of(folder: Path) -> str | None:
     copy = Path(os.path.abspath(folder))
     if copy.parent == copies_folder():
         with suppress(OSError, ValueError):
-            return read_regular(copy / _ORIGIN, 1 << 12).decode()
+            return read_regular(copy / _ORIGIN).decode()
     return None
 
 
@@ -178,11 +177,7 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
             is_removed = _SMALL.fullmatch(name) and name not in sizes
             if is_removed or (SHARD_NAME.fullmatch(name) and differs):
                 path.unlink(missing_ok=True)
-        for name, size in sizes.items():
-            if not _SMALL.fullmatch(name):
-                continue
-            if size > _MOST_SMALL_BYTES:
-                raise FactoryError(f"{store.url}/{name}: {size} bytes are more than it can need")
+        for name in filter(_SMALL.fullmatch, sizes):
             if (content := store.get(name)) is not None:
                 (folder / name).parent.mkdir(exist_ok=True)
                 write_atomically(folder / name, content, durable=False, key=_FOLDER)

@@ -22,10 +22,10 @@ import numpy.typing as npt
 
 from ..common.errors import FactoryError
 from ..common.files import is_temporary, sha256_of
-from ..common.isolated import LASTING
+from ..common.isolated import LASTING, LIMIT_S
 from .folder import CARD_NAME, PREVIEW_NAME, STATUS_NAME, WORK_NAME
 from .labels import classes_of
-from .layout import check_texts, config_of, image_axes, inside, optional_layers
+from .layout import check_texts, config_of, image_axes, optional_layers
 from .manifest import (
     CONFIG_NAME,
     FAILURES_NAME,
@@ -33,6 +33,7 @@ from .manifest import (
     MANIFEST_NAME,
     Manifest,
     damage,
+    is_inside,
     load_manifest,
     totals_problem,
 )
@@ -40,7 +41,6 @@ from .reader import ImageStack, reading
 from .schema import CHECKSUMS, REQUIRED_COLUMNS, SPLITS, Layer, config_hash, layers
 from .storage import Store, url_of
 
-_LIMIT_S = 60.0
 # Slower than any disk: a shard that takes longer is not read but stuck.
 _BYTES_PER_S = 1e6
 # A table that is wrong in every row is reported a few times, not a thousand times.
@@ -111,11 +111,11 @@ def validate(directory: Path, deep: bool = False) -> Report:
 def _facts_of(directory: Path, manifest: Manifest, path: str, deep: bool) -> Facts:
     """What a shard says, read in another process, and what is wrong with it."""
     info = manifest.shards[path]
-    if os.path.lexists(directory / path) and not inside(directory, directory / path):
+    if os.path.lexists(directory / path) and not is_inside(directory, directory / path):
         return {"problems": ["no regular file, or leads out of the dataset's folder; not read"]}
     if wrong := damage(directory, info):
         return {"problems": [f"{wrong}; run the command that made the dataset again"]}
-    limit_s = _LIMIT_S + info.bytes / _BYTES_PER_S
+    limit_s = LIMIT_S + info.bytes / _BYTES_PER_S
     try:
         facts: Facts = LASTING.call(shard_facts, directory / path, deep, limit_s=limit_s)
     except FactoryError as error:
@@ -161,7 +161,7 @@ def _index_problems(directory: Path, manifest: Manifest) -> Iterator[str]:
     path = directory / INDEX_NAME
     if not os.path.lexists(path):
         return
-    if not inside(directory, path):
+    if not is_inside(directory, path):
         yield f"error: {INDEX_NAME}: no regular file inside the dataset's folder; not read"
     elif not manifest.index_sha256:
         yield (

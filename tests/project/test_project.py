@@ -25,7 +25,7 @@ from tools.release_check import problems
 
 # Slow or heavy to import: only inside the function that needs them.
 HEAVY = (
-    "bpy", "open3d", "torch", "matplotlib", "hdf5plugin", "pyarrow", "webdataset",
+    "bpy", "open3d", "torch", "matplotlib", "pyarrow", "webdataset",
     "huggingface_hub", "rosbags",
 )  # fmt: skip
 

@@ -15,7 +15,6 @@ from ...common.errors import FactoryError
 from ...common.files import write_atomically
 from ...common.small_files import open_regular, parse_json, read_regular
 
-_MOST_BYTES = 1 << 28
 _NS = 1_000_000_000
 # A file that was written a moment ago may be written again within one tick of its times.
 _SETTLED_NS = 2 * _NS
@@ -37,7 +36,7 @@ class InputDigests:
         if table_path is None:
             return
         with suppress(OSError, ValueError):
-            stored = parse_json(read_regular(table_path, _MOST_BYTES))
+            stored = parse_json(read_regular(table_path))
             if isinstance(stored, dict) and all(map(_is_entry, stored.values())):
                 self._known = stored
 

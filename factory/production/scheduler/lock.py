@@ -31,7 +31,6 @@ from ...dataset.storage import SHARD_NAME, Store, make_room, take_copy, url_of
 LOCK_NAME = ".lock"
 # A process that only checks for other runs holds it for a moment.
 _ASKING_S = 1.0
-_MOST_BYTES = 1 << 12
 # What `flock` says where locks do not work.
 _NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF}
 _BEAT_S = 20.0
@@ -211,7 +210,7 @@ def _rivals(own: str, names: Iterable[str]) -> list[str]:
 def _owner(path: Path) -> dict[str, Any]:
     owner = {"pid": "?", "host": "?"}
     with suppress(OSError):
-        owner |= _said(read_regular(path, _MOST_BYTES))
+        owner |= _said(read_regular(path))
     return owner
 
 

@@ -1,7 +1,7 @@
-"""Blender files, in the isolated process: exported, and rendered with their own materials.
+"""What Blender opens, in the isolated process: exported as .glb; a .blend is rendered, too.
 
-One Blender has one file open.  Its scripts are never run, files that it names must lie beside it,
-and of its output settings none is kept.
+One Blender has one file open.  Its scripts are never run, images and libraries that it names must
+lie beside it, and of its output settings none is kept.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from ...common.errors import FactoryError
 from ...common.files import real_path
 from ...common.small_files import one_line
 
+BLENDER_SUFFIXES = (".blend", ".fbx", ".usd", ".usda", ".usdc", ".usdz")
+"""Files that Blender opens, or imports into an empty scene."""
 _SAMPLES = 8
-_SENSOR_MM = 36.0
 
 
 @dataclass
@@ -33,7 +34,7 @@ class Opened:
 
 
 def linked_by_blend(path: Path) -> list[Path]:
-    """Libraries, textures and other files that a .blend names.  Raises FactoryError."""
+    """Libraries, textures and other files that a file of Blender's names.  Raises FactoryError."""
     return _opened(real_path(path)).linked
 
 
@@ -53,7 +54,7 @@ def _opened(path: Path) -> Opened:
 
 @lru_cache(maxsize=1)
 def _opened_once(path: Path, _modified_ns: int) -> Opened:
-    """Open a .blend in Blender's module, without its scripts, and hide what exporters leave out.
+    """Open a file in Blender's module, without its scripts, and hide what exporters leave out.
 
     Raises FactoryError without that module, and for a file that Blender does not open.
     """
@@ -65,10 +66,16 @@ def _opened_once(path: Path, _modified_ns: int) -> Opened:
             "or export a .glb"
         ) from error
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
+    suffix = path.suffix.lower()
     try:
-        bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+        if suffix == ".blend":
+            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False)
+        else:
+            bpy.ops.wm.read_factory_settings(use_empty=True)
+            importer = bpy.ops.import_scene.fbx if suffix == ".fbx" else bpy.ops.wm.usd_import
+            importer(filepath=str(path))
     except RuntimeError as error:
-        raise FactoryError(f"no .blend file that Blender opens ({one_line(error)})") from error
+        raise FactoryError(f"no {suffix} file that Blender opens ({one_line(error)})") from error
 
     linked = _linked_files(bpy, path.parent)
     for scene_object in bpy.context.scene.objects:
@@ -156,8 +163,7 @@ def camera_image(
     camera = opened.camera
     fx, fy, cx, cy = lens
     camera.data.sensor_fit = "HORIZONTAL"
-    camera.data.sensor_width = _SENSOR_MM
-    camera.data.lens = fx * _SENSOR_MM / width
+    camera.data.lens = fx * camera.data.sensor_width / width
     camera.data.clip_start = 1e-3
     camera.data.clip_end = 1e6
     camera.data.shift_x = (width / 2 - (cx + 0.5)) / width

@@ -1,7 +1,7 @@
 """From an untrusted mesh file to arrays; runs in a process of its own, where Open3D may crash.
 
-.ply and .stl are read by Open3D, .glb and .gltf by `gltf_files`, .obj by `obj_files`, and a .blend
-is exported by Blender first.
+.ply and .stl are read by Open3D, .glb and .gltf by `gltf_files`, .obj by `obj_files`; what Blender
+opens is exported as .glb first.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from ...common.array_types import Float64s
 from ...common.errors import FactoryError
 from ...common.small_files import one_line
-from .blend_files import export_blend, linked_by_blend
+from .blend_files import BLENDER_SUFFIXES, export_blend, linked_by_blend
 from .gltf_files import MeshLimits, linked_by_gltf, read_gltf
 from .obj_files import RawPart, linked_by_obj, read_obj
 from .painted import linear_albedo, unit_colours
@@ -25,7 +25,7 @@ from .ply_headers import copy_with_header, read_header
 from .triangle_mesh import GREY, Mesh
 
 MOST_FACES = 2_000_000
-MOST_PARTS = 65_535
+MOST_PARTS = np.iinfo(np.uint16).max
 """What instance numbers of 16 bits tell apart."""
 # From y up, z towards the viewer, to z up.
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -41,7 +41,7 @@ def linked_files(path: Path) -> tuple[list[str], list[str]]:
             needed = linked_by_gltf(path)
         elif suffix == ".obj":
             needed, named = linked_by_obj(path)
-        elif suffix == ".blend":
+        elif suffix in BLENDER_SUFFIXES:
             needed = linked_by_blend(path)
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise FactoryError(f"cannot be read ({one_line(error)})") from error
@@ -155,7 +155,7 @@ def _read(path: Path, suffix: str, folder: Path) -> list[RawPart]:
         return read_obj(path, MOST_FACES, MOST_PARTS)
     if suffix in (".ply", ".stl"):
         return [_read_single(path, folder)]
-    if suffix == ".blend":
+    if suffix in BLENDER_SUFFIXES:
         source = path
         path = folder / "scene.glb"
         export_blend(source, path)

@@ -18,14 +18,15 @@ from ...common.errors import FactoryError
 from ...common.files import real_path
 from ...common.isolated import IsolatedProcess
 from ...common.small_files import one_line
+from .blend_files import BLENDER_SUFFIXES
 from .mesh_loading import Z_UP, linked_files, load
 from .triangle_mesh import Mesh
 
-SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".blend")
+SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", *BLENDER_SUFFIXES)
 # Formats that state which axis points up; z does in what is read of them.
-_STATED_UP = {".glb": "y", ".gltf": "y", ".blend": "z"}
+_STATED_UP = {".glb": "y", ".gltf": "y"} | dict.fromkeys(BLENDER_SUFFIXES, "z")
 # Suffixes of files that may name others.
-_LINKING = (".gltf", ".obj", ".blend")
+_LINKING = (".gltf", ".obj", *BLENDER_SUFFIXES)
 _MOST_BYTES = 1 << 29
 _SMALLEST_M = 0.005
 # Blender reserves more than a gigabyte before it has read anything.
@@ -173,7 +174,7 @@ def _turn_up(
         if up in ("auto", "stated", stated):
             return None
         if stated == "z":
-            raise FactoryError(f"{key.rpartition('.')[0]}.up=y: of a .blend z points up; leave it")
+            raise FactoryError(f"{key.rpartition('.')[0]}.up=y: Blender turns z up; leave it")
         return Z_UP.T  # undoes what its format asks for
     is_y_up = up == "y" or (up == "auto" and stands_like_a_wall(parts))
     return Z_UP if is_y_up else None

@@ -32,8 +32,8 @@ def read_image(content: bytes) -> UInt8s:
 
 # Largest float colours that are fractions, which may overshoot a little, and those of 8 bits.
 _LARGEST_FRACTION = 2.0
-_LARGEST_BYTE = 255.0
-_LARGEST_SHORT = 65535.0
+_LARGEST_BYTE = float(np.iinfo(np.uint8).max)
+_LARGEST_SHORT = float(np.iinfo(np.uint16).max)
 
 
 def unit_colours(stored: Array) -> Float64s:

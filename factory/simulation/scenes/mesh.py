@@ -70,8 +70,8 @@ class PartClass(OwnClass):
 class MeshSettings(RecordingSettings):
     """Keys of `scenes=mesh`.
 
-    file: .glb, .gltf, .obj, .ply, .stl, or .blend (whose images Cycles makes with its own
-        materials).  scale: metres per unit of the file.
+    file: .glb, .gltf, .obj, .ply, .stl, .fbx, .usd, or .blend (whose images Cycles makes with its
+        own materials).  scale: metres per unit of the file.
     up: the axis of the file that points up; auto: y of .glb and .gltf, z of others, but y of a
         world whose ground lies along x and z (not where poses are given).
     classes: see `PartClass`; other parts are Background.

@@ -35,7 +35,7 @@ def given_out(root: Path) -> dict[str, str]:
 def outcome(root: Path | str, sound: dict[str, str]) -> str:
     """`same`, `refused`, or the names of what is another than in the sound dataset."""
     # What hangs is ended after ten seconds; on a busy machine a sound file may take some.
-    with mock.patch.object(reader, "_LIMIT_S", 10.0):
+    with mock.patch.object(reader, "LIMIT_S", 10.0):
         try:
             actual = given_out(Path(root))
         except FactoryError:

@@ -104,7 +104,7 @@ def admit(root: Path) -> None:
 
 def read_everything(root: Path) -> str:
     """Read a dataset as a user would: 'read', or the one line that refuses it; nothing hangs."""
-    with mock.patch.object(shard_reader, "_LIMIT_S", 2.0):
+    with mock.patch.object(shard_reader, "LIMIT_S", 2.0):
         try:
             for split in ("train", "test"):
                 layers = ("noisy", "clean", "shadow", "range", "segmentation", "layers/background")
@@ -129,7 +129,7 @@ def check(root: Path, reader: IsolatedProcess) -> tuple[str, str]:
     outcome = reader.call(read_everything, root, limit_s=30.0)
     assert outcome == "read" or outcome.startswith("refused: ")
     try:
-        with mock.patch.object(validate, "_LIMIT_S", 2.0):
+        with mock.patch.object(validate, "LIMIT_S", 2.0):
             report = validate.validate(root, deep=True)
         verdict = "; ".join(report.errors) or "valid"
     except FactoryError as error:

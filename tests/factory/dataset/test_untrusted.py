@@ -112,7 +112,7 @@ def test_files_are_opened_in_another_process_first(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A table of texts that HDF5 walks for ever would hang this one."""
-    monkeypatch.setattr("simnfnd.factory.dataset.reader._LIMIT_S", 2.0)
+    monkeypatch.setattr("simnfnd.factory.dataset.reader.LIMIT_S", 2.0)
     path = folder / SHARD
     content = bytearray(path.read_bytes())
     start = content.index(b"GCOL") + 16

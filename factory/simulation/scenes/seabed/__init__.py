@@ -46,7 +46,7 @@ _HELD = 2  # a location takes a second to build and tens of megabytes
 class OwnObject(OwnClass):
     """An entry of `scenes.own_objects`; see also `OwnClass`.
 
-    file: .glb, .gltf, .obj, .ply, .stl or .blend.
+    file: .glb, .gltf, .obj, .ply, .stl, .blend, .fbx or .usd.
     up: the axis of the file that points up; auto: y of .glb and .gltf, z of others.
     per_place: least and most of them in a place.  scale: metres per unit of the file.
     burial: least and most of its height in the ground.  tilt_deg: likewise, from upright.

@@ -127,9 +127,9 @@ def test_damaged_shards_are_made_again_and_the_rest_kept(
     assert report.reused_shards == 1
     message = capfd.readouterr().err
     assert "train/shard-00000.h5: " in message
-    assert "bytes instead of" in message
+    assert "bytes, the manifest says" in message
     assert "train/shard-00001.h5: SHA-256 differs; it is made again" in message
-    assert "test/shard-00000.h5: absent" in message
+    assert "test/shard-00000.h5: listed in the manifest but absent" in message
     assert shard_bytes(directory) == undisturbed
     assert (directory / "train/shard-00002.h5").stat().st_mtime_ns == remaining
 

@@ -364,15 +364,42 @@ hidden["unrendered"].hide_render = True
 """
 
 
-def save_blends(scripts: dict[Path, str]) -> None:
-    """In one process: it takes seconds to load Blender."""
+def save_blends(scripts: dict[Path, str], more: str = "") -> None:
+    """In one process: it takes seconds to load Blender.  more: to run at the end."""
     lines = ["import bpy"]
     for path, script in scripts.items():
         lines.append("bpy.ops.wm.read_factory_settings(use_empty=True)")
         lines.append(script)
         lines.append(f"bpy.ops.wm.save_as_mainfile(filepath={str(path)!r})")
-    command = [sys.executable, "-c", "\n".join(lines)]
+    command = [sys.executable, "-c", "\n".join([*lines, more])]
     subprocess.run(command, check=True, capture_output=True)
+
+
+def test_fbx_and_usd_come_in_by_blender(tmp_path: Path) -> None:
+    exports = [
+        f"bpy.ops.export_scene.fbx(filepath={str(tmp_path / 'box.fbx')!r})",
+        *(
+            f"bpy.ops.wm.usd_export(filepath={str(tmp_path / f'box.{suffix}')!r})"
+            for suffix in ("usda", "usdc", "usdz")
+        ),
+    ]
+    script = """
+bpy.ops.mesh.primitive_cube_add(size=1)
+thing = bpy.context.object
+thing.name = "box"
+thing.scale = (1, 2, 3)
+red = bpy.data.materials.new("red")
+red.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.8, 0.1, 0.1, 1)
+thing.data.materials.append(red)
+"""
+    save_blends({tmp_path / "box.blend": script}, "\n".join(exports))
+    for suffix in ("blend", "fbx", "usda", "usdc", "usdz"):
+        (mesh,) = parts_of(tmp_path / f"box.{suffix}").values()
+        assert np.ptp(mesh.vertices, axis=0) == pytest.approx([1, 2, 3], abs=1e-4), suffix
+        assert mesh.colours[0] == pytest.approx([0.8, 0.1, 0.1], abs=1e-3), suffix
+    (tmp_path / "bad.fbx").write_bytes(b"Kaydara FBX Binary  \0")
+    with pytest.raises(FactoryError, match=r"no \.fbx file that Blender opens"):
+        parts_of(tmp_path / "bad.fbx")
 
 
 @pytest.mark.slow
