@@ -5,6 +5,9 @@ Anything else that escapes is a defect of ours and keeps its traceback.
 
 from __future__ import annotations
 
+MOST_LISTED = 8
+"""Things of one kind that a message lists."""
+
 
 class FactoryError(Exception):
     """Bad input or an environment that cannot do the job; ends the run with exit code 2.

@@ -25,14 +25,14 @@ from pkgutil import resolve_name
 from typing import IO, Any
 
 from .errors import FactoryError
+from .small_files import MOST_BYTES
 
 LIMIT_S = 60.0
-_ALARM = 14
-"""Number of SIGALRM, which Windows does not have; there it is an exit code."""
+_LATE = int(getattr(signal, "SIGALRM", signal.SIGTERM))
+"""The signal that ends a process that is late; on Windows its exit code."""
 
 # Memory beyond what the process has after its imports; an image has 64 MB at most.
 _MEMORY_BYTES = 800 << 20
-_MOST_ANSWER_BYTES = 1 << 28
 
 
 def call_isolated(
@@ -97,7 +97,7 @@ class IsolatedProcess:
             return kind, result
         except (EOFError, BrokenPipeError, ValueError, TypeError) as error:
             # It closes its pipes a moment before its exit code can be had.
-            if self.close(1) in (-_ALARM, _ALARM):
+            if self.close(1) in (-_LATE, _LATE):
                 raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
             raise FactoryError("crashes the library that reads it; it is damaged") from error
         except BaseException:
@@ -144,7 +144,7 @@ def _decode(file: IO[bytes]) -> Any:
             return Path(item["__path__"])
         return base64.b64decode(item["__bytes__"]) if "__bytes__" in item else item
 
-    line = file.readline(_MOST_ANSWER_BYTES)
+    line = file.readline(MOST_BYTES)
     if not line.endswith(b"\n"):
         raise EOFError
     return json.loads(line, object_hook=untagged)
@@ -219,7 +219,7 @@ def _deadline(limit_s: float) -> Callable[[], object]:
         # Not caught: it ends the process even where C code never comes back.
         signal.setitimer(signal.ITIMER_REAL, limit_s)
         return partial(signal.setitimer, signal.ITIMER_REAL, 0)
-    timer = threading.Timer(limit_s, os._exit, (_ALARM,))
+    timer = threading.Timer(limit_s, os._exit, (_LATE,))
     timer.daemon = True
     timer.start()
     return timer.cancel

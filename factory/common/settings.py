@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from .errors import FactoryError
+from .errors import MOST_LISTED, FactoryError
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 
@@ -21,7 +21,6 @@ ClassName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,39}$")]
 """What the user may call a class of objects; see `labels`."""
 
 T = TypeVar("T")
-_MOST_KEYS_SHOWN = 4
 
 
 def build(kind: type[T] | Any, values: Mapping[str, Any], prefix: str = "") -> T:
@@ -52,7 +51,7 @@ def _one_line(error: ValidationError, kind: Any, values: Mapping[str, Any], pref
         elif item["type"] == "missing":
             parts.append(f"{name}: a value is required")
         elif item["type"] == "dataclass_type":
-            inner = ", ".join(f"{name}.{key}" for key in _keys_of(kind, keys)[:_MOST_KEYS_SHOWN])
+            inner = ", ".join(f"{name}.{key}" for key in _keys_of(kind, keys)[:MOST_LISTED])
             parts.append(f"{name}: holds other keys and no value of its own; set one of {inner}")
         else:
             message = item["msg"].removeprefix("Value error, ").rstrip(".")

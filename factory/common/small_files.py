@@ -9,7 +9,7 @@ import stat
 from pathlib import Path
 from typing import Any, BinaryIO
 
-_MOST_BYTES = 1 << 28
+MOST_BYTES = 1 << 28
 """Of a file that is read whole; a manifest of 300,000 shards takes half of it."""
 # Most bytes of settings; reading YAML's numbers in base sixty takes time that grows with the
 # square of their length.
@@ -31,7 +31,7 @@ def open_regular(path: Path) -> BinaryIO:
     return file
 
 
-def read_regular(path: Path, most_bytes: int = _MOST_BYTES) -> bytes:
+def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
     """The content of a regular file.  Raises OSError for any other kind, or a longer one."""
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size

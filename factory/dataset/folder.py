@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from ..common.errors import FactoryError
+from ..common.errors import MOST_LISTED, FactoryError
 from ..common.files import check_writable, is_temporary, remove_stale_temporaries, write_atomically
 from ..common.small_files import load_yaml, one_line, read_regular
 from .manifest import CONFIG_NAME, MANIFEST_NAME, PARTS, Manifest, load_manifest, save_manifest
@@ -24,7 +24,6 @@ STATUS_NAME = "status.json"
 
 # Files that come and go with runs, and the one that states where a copy comes from.
 _PASSING = (".lock", ".origin", WORK_NAME)
-_SHOWN = 6
 
 
 def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenance) -> Manifest:
@@ -110,8 +109,8 @@ def differences(
         and key not in PARTS
         and not (free and free.match(key))
     ]
-    more = [f"and {len(changes) - _SHOWN} more"] if len(changes) > _SHOWN else []
-    return "; ".join(changes[:_SHOWN] + more)
+    more = [f"and {len(changes) - MOST_LISTED} more"] if len(changes) > MOST_LISTED else []
+    return "; ".join(changes[:MOST_LISTED] + more)
 
 
 def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ..common.errors import FactoryError
+from ..common.errors import MOST_LISTED, FactoryError
 from ..common.files import is_temporary, sha256_of
 from ..common.isolated import LASTING, LIMIT_S
 from .folder import CARD_NAME, PREVIEW_NAME, STATUS_NAME, WORK_NAME
@@ -43,8 +43,6 @@ from .storage import Store, url_of
 
 # Slower than any disk: a shard that takes longer is not read but stuck.
 _BYTES_PER_S = 1e6
-# A table that is wrong in every row is reported a few times, not a thousand times.
-_MOST_PROBLEMS = 8
 
 _OUTCOME = re.compile(r"(train|test)/shard-\d+\.json")
 _STATUS = re.compile(STATUS_NAME.replace(".", r"(\.[\w-]+)?\."))
@@ -227,10 +225,10 @@ def _file_names(directory: Path) -> list[str]:
 
 
 def _listed(level: str, names: list[str], problem: str) -> Iterator[str]:
-    for name in names[:_MOST_PROBLEMS]:
+    for name in names[:MOST_LISTED]:
         yield f"{level}: {_printable(name)}: {problem}"
-    if len(names) > _MOST_PROBLEMS:
-        yield f"{level}: {len(names) - _MOST_PROBLEMS} more files: {problem}"
+    if len(names) > MOST_LISTED:
+        yield f"{level}: {len(names) - MOST_LISTED} more files: {problem}"
 
 
 def _printable(name: str) -> str:
@@ -338,7 +336,7 @@ def _facts(file: h5py.File, deep: bool) -> Facts:
     if deep:
         problems += _image_problems(file, known_layers, digests)
     return {
-        "problems": problems[:_MOST_PROBLEMS],
+        "problems": problems[:MOST_LISTED],
         "config_hash": stated_hash[:200],
         "split": str(file.attrs["split"]),
         "form": _form(file, known_layers, table.dtype.names),
@@ -380,7 +378,7 @@ def _image_problems(
             if layer.name in digests:
                 content = hashlib.blake2b(image.tobytes(), digest_size=16)
                 digests[layer.name].append(content.hexdigest())
-        if len(problems) >= _MOST_PROBLEMS:
+        if len(problems) >= MOST_LISTED:
             break
     return problems
 

@@ -25,12 +25,10 @@ import psutil
 
 from . import ERROR, Backend, Pool, Task, WorkerDied, answered, start_worker_process, template
 
-_PROCESS_S = 60.0  # most time for a process to start
+_BEGIN_S = 60.0  # most time for a process to start, and for a further task to begin
 _FIRST_S = 300.0  # most time for its first task to begin: the process imports what it needs
-_BEGIN_S = 30.0  # most time for a further task to begin
-_END_S = 5.0  # time for a killed process to exit
+_END_S = 5.0  # most time for killed processes to exit
 _LOOK_S = 0.5  # time between two looks for processes that are late or dead
-_STOP_S = 10.0  # most time for all processes to end
 _NEWS = "news"
 
 
@@ -73,7 +71,7 @@ class LocalBackend(Backend):
     def close(self) -> None:
         """Kill the workers now."""
         self._stopped.set()
-        deadline = time.monotonic() + _STOP_S
+        deadline = time.monotonic() + _END_S
         # A worker that is starting its process at this moment cannot be closed yet.
         open_workers = [worker for worker in self._workers if not worker.close()]
         while open_workers and time.monotonic() < deadline:
@@ -166,7 +164,7 @@ class _Worker:
 
     def _start(self) -> None:
         self._answered = 0
-        self._deadline = time.monotonic() + _PROCESS_S
+        self._deadline = time.monotonic() + _BEGIN_S
         self._connection, theirs = multiprocessing.Pipe()
         with closing(theirs):  # so that its end of the connection ends with it
             self._started = template.started(self._forks, _work, (theirs, dict(os.environ)))

@@ -11,12 +11,10 @@ from pathlib import Path
 from ..errors import FactoryError
 from ..progress import stage
 
-# Measured with 48 workers: what each costs the process that starts it (pipes and threads), and what
-# a run opens and loads beside them.
+# Measured with 48 workers: files that each costs the process that starts it, and that a run opens
+# beside them.
 _FILES_A_WORKER = 8
 _OTHER_FILES = 40
-_BYTES_A_WORKER = 128 << 20
-_OTHER_BYTES = 512 << 20
 # Options of `mallopt` in malloc.h of the GNU C library.
 _TRIM_THRESHOLD = -1
 _MMAP_THRESHOLD = -3
@@ -55,7 +53,7 @@ def keep_freed_memory() -> None:
 
 
 def workers_that_fit(wanted: int) -> int:
-    """As many workers as the limits of this process allow; reports when these are fewer.
+    """As many workers as `ulimit -n` allows; reports when these are fewer.
 
     Raises FactoryError when not even one fits.
     """
@@ -63,19 +61,14 @@ def workers_that_fit(wanted: int) -> int:
 
     import psutil
 
-    process = psutil.Process()
-    room = [(wanted, "")]
     files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if files != resource.RLIM_INFINITY:
-        left = files - process.num_fds() - _OTHER_FILES
-        room.append((left // _FILES_A_WORKER, f"ulimit -n is {files}"))
-    space, _ = resource.getrlimit(resource.RLIMIT_AS)
-    if space != resource.RLIM_INFINITY:
-        left = space - process.memory_info().vms - _OTHER_BYTES
-        room.append((left // _BYTES_A_WORKER, f"ulimit -v is {space // 1024}"))
-    fitting, limit = min(room, key=lambda item: item[0])
-    if fitting < min(wanted, 1):
+    if files == resource.RLIM_INFINITY:
+        return wanted
+    fitting = (files - psutil.Process().num_fds() - _OTHER_FILES) // _FILES_A_WORKER
+    if fitting >= wanted:
+        return wanted
+    limit = f"ulimit -n is {files}"
+    if fitting < 1:
         raise FactoryError(f"scheduler.workers: {limit}, in which no worker fits; raise it")
-    if limit:
-        stage(f"{limit}: {fitting} of {wanted} workers fit and are used; raise it for more")
+    stage(f"{limit}: {fitting} of {wanted} workers fit and are used; raise it for more")
     return fitting

@@ -29,8 +29,8 @@ THREAD_VARIABLES = (
     *("VECLIB_MAXIMUM_THREADS", "OPENCV_FOR_THREADS_NUM"),
 )
 
-# The process that started one, 0 for none; whoever is forked from that has none.
-_owner = 0
+# The process that started one; whoever is forked from that has none.
+_owner: int | None = None
 
 
 def start(modules: tuple[str, ...]) -> None:
@@ -105,7 +105,7 @@ def kill() -> None:
     if not runs():
         return
     # The next `start` may then start another.
-    _owner = 0
+    _owner = None
     kill_fork_server()
 
 

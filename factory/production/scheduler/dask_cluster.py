@@ -20,12 +20,10 @@ from ...common.errors import FactoryError
 from ...common.workers import ERROR, Backend, Task, WorkerDied, answered
 from ...common.workers.template import THREAD_VARIABLES
 
-_CONNECT_S = 20.0  # most time to reach the scheduler
 _STOP_S = 4.0  # most time to close the cluster
 _LOOK_S = 1.0  # time between two looks for tasks that are late
 _START_S = 120  # most time for a worker to start
-_RESULT_S = 60  # most time to fetch a finished result
-_RESTART_S = 30  # most time for an answer of the scheduler
+_ANSWER_S = 30  # most time to reach the scheduler, for its answers, and to fetch a result
 
 
 @dataclass(eq=False)
@@ -80,7 +78,7 @@ class DaskBackend(Backend):
                 self._cluster.wait_for_workers(workers, timeout=_START_S)
             scheduler_address = address or self._cluster.scheduler_address
             self._client = self._distributed.Client(
-                scheduler_address, timeout=_CONNECT_S, set_as_default=False
+                scheduler_address, timeout=_ANSWER_S, set_as_default=False
             )
             self._client.subscribe_topic(self._topic, self._heard)
             self._count()
@@ -105,7 +103,7 @@ class DaskBackend(Backend):
     def _ask_scheduler(self, method: str, **arguments: Any) -> Any:
         """Call a method of the scheduler and return its answer."""
         function = getattr(self._client.scheduler, method)
-        return self._client.sync(function, **arguments, callback_timeout=_RESTART_S)
+        return self._client.sync(function, **arguments, callback_timeout=_ANSWER_S)
 
     def free(self, kind: str) -> bool:
         """Whether fewer tasks are under way than there are workers."""
@@ -147,9 +145,9 @@ class DaskBackend(Backend):
         lost = TimeoutError, dask.KilledWorker, dask.CancelledError, no_worker
         try:
             if remote.status == "finished":
-                kind, value = pickle.loads(remote.result(timeout=_RESULT_S))
+                kind, value = pickle.loads(remote.result(timeout=_ANSWER_S))
             elif remote.status == "error":
-                raise remote.exception(timeout=_RESULT_S)
+                raise remote.exception(timeout=_ANSWER_S)
         except lost as error:
             value = WorkerDied(f"its Dask worker died or was lost ({type(error).__name__})")
         except Exception as error:
@@ -173,7 +171,7 @@ class DaskBackend(Backend):
                         place for place, keys in processing.items() if task.remote.key in keys
                     ]
                     self._client.restart_workers(
-                        addresses, timeout=_RESTART_S, raise_for_error=False
+                        addresses, timeout=_ANSWER_S, raise_for_error=False
                     )
                 task.future.set_exception(TimeoutError())
             self._late = []

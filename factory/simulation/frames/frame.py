@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from ...common.array_types import Bools, Float32s, Float64s, Floats, Int32s, Int64s, UInt8s, UInt16s
 from ...common.errors import FrameError
@@ -17,8 +16,6 @@ LIKELY_M = (0.005, 300.0)
 
 # Twice the principal point in widths (heights) of the image is 1 in its middle.
 _LIKELY_CENTRE = (0.6, 1.6)
-# Across and down the intrinsics are off by one factor when the two agree so well.
-_SAME_FACTOR = 0.05
 # Fewer measured pixels make a frame useless.
 _LEAST_VALID = 16
 BOX_FIELDS = 11
@@ -44,55 +41,35 @@ class Intrinsics:
     def misfit(self, width: int, height: int) -> str | None:
         """Why they cannot be those of an image of this size, with a remedy; None when they can.
 
-        The principal point of a camera lies near the middle of its image: outside of it, or off by
-        one factor in both directions, the intrinsics are of an image of another size.
+        The principal point of a camera lies near the middle of its image: outside of it, or off the
+        same way in both directions, the intrinsics are of an image of another size.
         """
         values = np.array([self.fx, self.fy, self.cx, self.cy])
-        shown = ", ".join(f"{value:.6g}" for value in values)
         if not np.isfinite(values).all() or min(self.fx, self.fy) <= 0:
+            shown = ", ".join(f"{value:.6g}" for value in values)
             return f"intrinsics fx, fy, cx, cy are {shown}; focal lengths are positive, in pixels"
-
-        problem = (
-            f"principal point {self.cx:g}, {self.cy:g} is not that of a {width}x{height} image"
-        )
-        if max(self.cx, self.cy) <= 1 and max(self.fx, self.fy) < 10:
-            in_pixels = _listed(values * (width, height, width, height))
-            return f"{problem}; given in widths and heights? In pixels they are {in_pixels}"
-
         # 1 in the middle of the image.
         across = 2 * (self.cx + 0.5) / width
         down = 2 * (self.cy + 0.5) / height
-        factor = (across + down) / 2
-        is_inside = 0 <= across < 2 and 0 <= down < 2
-        is_scaled = min(across, down) > 0 and abs(across / down - 1) < _SAME_FACTOR
-        if is_inside and (not is_scaled or _LIKELY_CENTRE[0] < factor < _LIKELY_CENTRE[1]):
+        least, most = _LIKELY_CENTRE
+        is_inside = min(across, down) >= 0 and max(across, down) < 2
+        if is_inside and max(across, down) > least and min(across, down) < most:
             return None
-        if not is_scaled:
-            return f"{problem}; give fx, fy, cx, cy of the images as they are"
-
-        scale = _simple_ratio(1 / factor)
-        centre = [(self.cx + 0.5) * scale - 0.5, (self.cy + 0.5) * scale - 0.5]
-        scaled = _listed([self.fx * scale, self.fy * scale, *centre])
-        size = f"{round(width / scale)}x{round(height / scale)}"
-        return f"{problem}; of {size} images? Scaled to these they are {scaled}"
-
-
-def _listed(values: npt.ArrayLike) -> str:
-    """Numbers as a list of the command line."""
-    return f"[{','.join(f'{value:.6g}' for value in np.asarray(values))}]"
-
-
-def _simple_ratio(ratio: float) -> float:
-    """The nearest quotient of small integers, where one is within 2 %; else the ratio."""
-    quotients = [a / b for a in range(1, 9) for b in range(1, 9)]
-    nearest = min(quotients, key=lambda quotient: abs(quotient - ratio))
-    return nearest if abs(nearest / ratio - 1) < 0.02 else ratio
+        return (
+            f"principal point {self.cx:g}, {self.cy:g} is not that of a {width}x{height} image; "
+            "give fx, fy, cx, cy of the images as they are, in pixels"
+        )
 
 
 def turned(matrix: Float64s, points: Float64s) -> Float64s:
     """(N, 3) points times a (3, 3) matrix, summed in one order on every machine."""
     x, y, z = points.T
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], axis=-1)
+
+
+GROUND_STEPS = 24
+"""Heights of the ground that are known around a recording's beginning, to each side."""
+GROUND_STEP_M = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ MOVEMENT = ("surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MARGIN_DEG = 1.0  # beyond each edge of a sonar's sector
 _SIDE_PX = 64  # of the image in which an object's outline is counted
 _NEAREST_M = 0.05
-_SEED = 0  # of what is drawn of cameras: the procedural world is one and the same
+WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
 
 
 @dataclass(frozen=True)
@@ -120,8 +120,8 @@ class Stance(NamedTuple):
     ) -> Stance:
         """The stance that the settings draw under these names; the same names draw the same."""
         return cls(
-            None if altitude_m is None else altitude_m.draw(stream(_SEED, "altitude", *names)),
-            None if tilt_deg is None else tilt_deg.draw(stream(_SEED, "tilt", *names)),
+            None if altitude_m is None else altitude_m.draw(stream(WORLD_SEED, "altitude", *names)),
+            None if tilt_deg is None else tilt_deg.draw(stream(WORLD_SEED, "tilt", *names)),
         )
 
 

@@ -14,8 +14,6 @@ from ...common.errors import FactoryError
 
 Document = dict[str, Any]
 
-_MOST_ELEMENTS = 12_000_000
-"""Elements of one accessor: corners of twice as many faces as a mesh may have."""
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
@@ -37,8 +35,6 @@ class Buffers:
         """
         accessor = self.document["accessors"][number]
         count = int(accessor["count"])
-        if not 0 <= count <= _MOST_ELEMENTS:
-            raise ValueError(f"accessor {number} has {count:,} elements")
         width = _WIDTHS[accessor["type"]]
         values: Array = np.zeros((count, width), _TYPES[accessor["componentType"]])
         if "bufferView" in accessor:

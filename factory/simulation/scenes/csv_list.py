@@ -21,7 +21,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from ...common.array_types import Float32s
-from ...common.errors import FactoryError, FrameError
+from ...common.errors import MOST_LISTED, FactoryError, FrameError
 from ...common.files import shortened
 from ...common.limits import limited
 from ...common.settings import STRICT
@@ -100,28 +100,22 @@ class CsvListReader:
 
         Images that cannot be read are left to `load`.
         """
-        first_of_size: dict[tuple[int, int], FrameRef] = {}
+        first_of_size: dict[tuple[int, int], str] = {}
         for ref in frames:
             size = image_size(Path(ref.paths[0]))
             if size is not None:
-                first_of_size.setdefault(size, ref)
-        misfits = {size: self._lens.misfit(*size) for size in first_of_size}
-        if len(misfits) == 1:
-            (misfit,) = misfits.values()
-            if misfit:
+                first_of_size.setdefault(size, ref.paths[0])
+        if len(first_of_size) > 1:
+            sizes = [
+                f"{width}x{height} ({path})" for (width, height), path in first_of_size.items()
+            ]
+            raise FactoryError(
+                f"{key}: images of {len(sizes)} sizes, {', '.join(sizes[:MOST_LISTED])}; list the "
+                "frames of each size apart"
+            )
+        for size in first_of_size:
+            if misfit := self._lens.misfit(*size):
                 raise FactoryError(f"scenes.intrinsics: {misfit}")
-        if len(misfits) < 2:
-            return
-
-        examples = [
-            f"{width}x{height} ({ref.paths[0]})" for (width, height), ref in first_of_size.items()
-        ]
-        fitting = [f" and fit {w}x{h}" for (w, h), misfit in misfits.items() if misfit is None]
-        raise FactoryError(
-            f"{key}: images of {len(misfits)} sizes, {', '.join(examples[:3])}; scenes.intrinsics "
-            f"fit one{fitting[0] if len(fitting) == 1 else ''}; list the frames of each size "
-            "apart"
-        )
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.simulation.scenes.base.Reader`."""

@@ -17,51 +17,20 @@ from ...common.errors import FrameError
 from ...common.quiet import quiet_stderr
 from ...common.small_files import one_line
 from ...dataset.frame_ref import FrameRef
-from ..frames.frame import Frame, Intrinsics, checked
+from ..frames.frame import LIKELY_M, Frame, Intrinsics, checked
 from .base import INTEGERS_PER_M
 
 # Pillow modes whose conversion to RGB loses nothing but transparency.
 _COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})
-_ORIENTATION_TAG = 0x0112
-_SUBFILE_TYPE_TAG = 254
-# Bits of its value.
-_SMALLER_COPY = 1
-_MASK = 4
 # Orientations that exchange width and height (Exif 2.32, tag Orientation).
 _LYING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 _READABLE_DEPTH = (
     "give PNG or TIFF (16- or 32-bit integers, 32- or 64-bit floats), PFM, or .npy of (H, W)"
 )
 
-# First bytes of a file -> its format.  Pillow decodes the first group, so that a failure there
-# means damage.
-_DECODED_SIGNATURES = {
-    b"\x89PNG": "PNG",
-    b"\xff\xd8\xff": "JPEG",
-    b"II*\0": "TIFF",
-    b"MM\0*": "TIFF",
-    b"II+\0": "BigTIFF",
-    b"MM\0+": "BigTIFF",
-    b"\x93NUMPY": ".npy array",
-    b"Pf\n": "PFM",
-    b"P5": "PGM",
-}
-_FOREIGN_SIGNATURES = {
-    b"\x76\x2f\x31\x01": "an OpenEXR image",
-    b"\x89HDF\r\n\x1a\n": "an HDF5 file",
-    b"PK\x03\x04": "an .npz or ZIP archive",
-    b"\x80\x04": "a Python pickle",
-    b"\x1f\x8b": "a gzip archive",
-    b"MATLAB": "a MATLAB file",
-}
-
-_SAMPLE_FORMATS = {1: "unsigned integers", 2: "signed integers", 3: "floats", 6: "complex numbers"}
-
 _INTEGER_TYPES = ("int16", "uint16", "int32", "uint32", "int64", "uint64")
 # A share of the pixels that no surface at the largest storable distance takes.
 _LEAST_MARKED_SHARE = 0.01
-# No imaging sonar sees farther.
-_FARTHEST_M = 300.0
 # What uint16 depth is commonly divided by, also before it is stored as floating-point metres.
 _COMMON_SCALES = (1.0, 100.0, 256.0, 1000.0, 4000.0, 5000.0, 10000.0)
 
@@ -150,8 +119,8 @@ def _mark_reason(dtype: np.dtype[Any], largest: float, largest_m: float) -> str:
         scaled = np.iinfo(np.uint16).max / np.array(_COMMON_SCALES)
         if np.isclose(largest, scaled, rtol=1e-6, atol=0).any():
             return "the largest number of uint16, scaled"
-    if largest_m > _FARTHEST_M:
-        return f"farther than any imaging sonar sees ({_FARTHEST_M:g} m)"
+    if largest_m > LIKELY_M[1]:
+        return f"farther than any imaging sonar sees ({LIKELY_M[1]:g} m)"
     return ""
 
 
@@ -179,21 +148,10 @@ def image_size(path: Path) -> tuple[int, int] | None:
     return (height, width) if lies else (width, height)
 
 
-def exif_orientation(path: Path) -> int:
-    """The EXIF orientation of an image, 1 (upright) to 8; 1 when the file states none."""
-    from PIL import Image
-
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path) as image:
-                return _orientation(image)
-    except Exception:  # read for a remark beside another error
-        return 1
-
-
 def _orientation(image: Any) -> int:
-    stated = image.getexif().get(_ORIENTATION_TAG, 1)
+    from PIL import ExifTags
+
+    stated = image.getexif().get(ExifTags.Base.Orientation, 1)
     return stated if stated in range(1, 9) else 1
 
 
@@ -218,75 +176,35 @@ def _decode(path: Path) -> Any:
     except (MemoryError, FrameError):
         raise
     except Exception as error:  # a damaged file makes decoders raise nearly anything
-        raise FrameError(f"{path}: {_undecodable(path, error)}") from error
+        raise FrameError(f"{path}: {_undecodable(error)}") from error
 
 
 def _refuse_stack(path: Path, image: Any) -> None:
     """Raise FrameError when a TIFF holds several images, none of which is meant.
 
-    Those that are marked as smaller copies or masks of the first (TIFF 6.0, NewSubfileType) count
-    for nothing.
+    Smaller copies and masks of the first count for nothing.
     """
+    from PIL import ExifTags
+
     count = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
-    full_count = 1
-    for number in range(1, count):
+    full_count = 0
+    for number in range(count):
         image.seek(number)
-        if not image.tag_v2.get(_SUBFILE_TYPE_TAG, 0) & (_SMALLER_COPY | _MASK):
-            full_count += 1
+        subfile_type = image.tag_v2.get(ExifTags.Base.NewSubfileType, 0) if count > 1 else 0
+        full_count += subfile_type in (0, 2)  # bits: a smaller copy, a page of several, a mask
     image.seek(0)
     if full_count > 1:
         raise FrameError(f"{path}: holds {full_count} images; give each frame a file of its own")
 
 
-def _undecodable(path: Path, error: Exception) -> str:
+def _undecodable(error: Exception) -> str:
     """What keeps a file from being decoded: its format, or damage."""
-    with open(path, "rb") as file:
-        head = file.read(16)
-    foreign = _format_of(head, _FOREIGN_SIGNATURES)
-    if not foreign and b"&" in head and head.split(b"&")[0].isdigit():
-        foreign = "a COLMAP depth map"
-    if foreign:
-        return f"is {foreign}, which is not read; {_READABLE_DEPTH}"
+    from PIL import UnidentifiedImageError
 
-    known = _format_of(head, _DECODED_SIGNATURES)
-    if "TIFF" in known and (kind := _tiff_kind(path)):
-        return f"is a TIFF of {kind}, which is not read; {_READABLE_DEPTH}"
-    if "Object arrays" in str(error):
-        return f"is an .npy of Python objects, which is not read; {_READABLE_DEPTH}"
-    if head and not known and type(error).__name__ == "UnidentifiedImageError":
-        return f"is of no format that is read ({path.suffix or 'no suffix'}); {_READABLE_DEPTH}"
+    if isinstance(error, UnidentifiedImageError) or "Object arrays" in str(error):
+        return f"is of no format that is read, or damaged; {_READABLE_DEPTH}"
     reason = one_line(error) or type(error).__name__
     return f"truncated or damaged file ({reason}); copy or download the file again"
-
-
-def _format_of(head: bytes, signatures: dict[bytes, str]) -> str:
-    return next((name for start, name in signatures.items() if head.startswith(start)), "")
-
-
-def _tiff_kind(path: Path) -> str:
-    """`16-bit floats`, for example, of a TIFF whose pixels Pillow has no mode for; else empty."""
-    from PIL import TiffImagePlugin
-
-    try:
-        with open(path, "rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            head = file.read(8)
-            head += file.read(8) if head[2:4] in (b"+\0", b"\0+") else b""
-            directory = TiffImagePlugin.ImageFileDirectory_v2(head)
-            file.seek(directory.next)
-            directory.load(file)
-        bits = directory[TiffImagePlugin.BITSPERSAMPLE]
-        formats = directory.get(TiffImagePlugin.SAMPLEFORMAT, (1,))
-        photometric = directory.get(TiffImagePlugin.PHOTOMETRIC_INTERPRETATION, 0)
-    except Exception:  # damaged, as the caller then says
-        return ""
-    order = directory.get(TiffImagePlugin.FILLORDER, 1)
-    endian = directory.prefix
-    key = (endian, photometric, formats[:1], order, bits, ())
-    if key in TiffImagePlugin.OPEN_INFO:
-        return ""
-    numbers = _SAMPLE_FORMATS.get(formats[0], "numbers of an unknown kind")
-    return f"{bits[0]}-bit {numbers}" + (f" in {len(bits)} channels" if len(bits) > 1 else "")
 
 
 def _teach_float64_tiff() -> None:
@@ -313,7 +231,4 @@ def read_frame(
     try:
         return checked(Frame(ref, rgb, depth_m, intrinsics), bad_depth=bad_depth)
     except FrameError as error:
-        orientation = exif_orientation(Path(ref.paths[0]))
-        turned = f"; colour was turned by its EXIF orientation {orientation}"
-        remark = turned if orientation != 1 and rgb.shape[:2] != depth_m.shape else ""
-        raise FrameError(f"{error}{remark} [{ref.paths[1]}]") from error
+        raise FrameError(f"{error} [{ref.paths[1]}]") from error

@@ -33,7 +33,14 @@ from ...common.seeds import stream
 from ...common.settings import STRICT
 from ...dataset.frame_ref import FrameRef
 from ...dataset.labels import class_names
-from ..frames.frame import Frame, Intrinsics, Surroundings, checked
+from ..frames.frame import (
+    GROUND_STEP_M,
+    GROUND_STEPS,
+    Frame,
+    Intrinsics,
+    Surroundings,
+    checked,
+)
 from ..meshes.blend_files import camera_image
 from ..meshes.camera import Objects, Optics, Pose, Stance, ZBuffer, camera, centred, pose
 from ..meshes.mesh_parts import READING, MeshPart, Up, files_of, read_model, stands_like_a_wall
@@ -44,10 +51,7 @@ from .seabed import OwnObject, RecordingSettings
 
 _LARGEST_M = 3000.0
 _KEY = "scenes.file"
-_GROUND_PX = 9  # side of the image that looks for the ground below
 _CLEAR_M = 0.3
-_AROUND = 24  # heights of the ground around a recording's beginning, to each side
-_AROUND_STEP_M = 1.0
 _HIGH_M = 5000.0  # height from which rays are practically parallel
 _Metres = Annotated[float, limited(-5000, 5000, "m")]
 _Tilt = Annotated[float, limited(-90, 90, "deg")]
@@ -264,14 +268,14 @@ class MeshReader:
         heights_m = objects.mesh.vertices[:, 2]
         # From so far above that all rays run down: a pixel is a step of the ground.
         eye = np.array([*start.eye[:2], float(heights_m.max()) + _HIGH_M])
-        size = 2 * _AROUND + 1
+        size = 2 * GROUND_STEPS + 1
         down = pose(eye, 0, 90, 0)
-        inverse = ZBuffer(down, centred(_HIGH_M / _AROUND_STEP_M, size, size), objects).inverse
+        inverse = ZBuffer(down, centred(_HIGH_M / GROUND_STEP_M, size, size), objects).inverse
         with np.errstate(divide="ignore"):
             ground_m = np.where(inverse > 0, eye[2] - 1 / inverse, heights_m.min())
         # Rows of the image go against the world's x, columns against its y.
         along = np.ascontiguousarray(ground_m[::-1, ::-1].T, np.float32)
-        return Surroundings(start.matrix, along, _AROUND_STEP_M)
+        return Surroundings(start.matrix, along, GROUND_STEP_M)
 
     @cached_property
     def _world(self) -> MeshWorld:
@@ -424,9 +428,8 @@ class MeshReader:
 
     def _altitude_m(self, eye: Float64s) -> float | None:
         """Metres from the eye down to the first surface; None where there is none."""
-        optics = centred(500, _GROUND_PX, _GROUND_PX)
         down = pose(eye, 0, 90, 0)
-        nearest = ZBuffer(down, optics, self._world.objects).inverse[(_GROUND_PX // 2,) * 2]
+        nearest = ZBuffer(down, centred(500, 1, 1), self._world.objects).inverse[0, 0]
         return float(1 / nearest) if nearest > 0 else None
 
 

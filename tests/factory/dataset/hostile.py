@@ -1,10 +1,7 @@
-"""Datasets as an attacker or a dying disk leaves them: one mutation a number."""
+"""Datasets as an attacker leaves them: objects that no schema has."""
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +25,6 @@ from tests.factory.dataset.some_shards import SHARDS, some_pairs, write_all
 
 SECRET = 77
 PROVENANCE = Provenance({"seed": 7}, config_hash({"seed": 7}), "simnfnd 0.1.0")
-Rng = np.random.Generator
 
 
 def with_layers(pair: Pair) -> Pair:
@@ -140,104 +136,6 @@ def check(root: Path, reader: IsolatedProcess) -> tuple[str, str]:
     return outcome, verdict
 
 
-def mutate(root: Path, number: int) -> str:
-    """Damage a fresh copy of a dataset in the way that `number` stands for; says how."""
-    rng = np.random.default_rng(number)
-    kinds: list[Callable[[Path, Rng], str]] = [
-        _bytes_of_shard,
-        _bytes_of_shard,
-        _bytes_of_shard,
-        _objects_of_shard,
-        _objects_of_shard,
-        _values_of_manifest,
-        _bytes_of_manifest,
-        _files,
-    ]
-    outcome = kinds[number % len(kinds)](root, rng)
-    if rng.random() < 0.7 and "manifest" not in outcome:
-        admit(root)
-        outcome += ", admitted"
-    return f"{number}: {outcome}"
-
-
-def _any_shard(root: Path, rng: Rng) -> Path:
-    return root / sorted(SHARDS)[rng.integers(len(SHARDS))]
-
-
-def _spoil(content: bytes, rng: Rng) -> tuple[bytes, str]:
-    """Some of the bytes of a file changed, as flips, runs, moves, cuts or extreme numbers."""
-    data = bytearray(content)
-    size = len(data)
-    kind = rng.choice(["flip", "many", "zero", "noise", "cut", "length"])
-    at = int(rng.integers(size))
-    run = int(rng.integers(1, 400))
-    if kind == "flip":
-        data[at] ^= 1 << int(rng.integers(8))
-    elif kind == "many":
-        for place in rng.integers(size, size=int(rng.integers(2, 60))):
-            data[place] = int(rng.integers(256))
-    elif kind == "zero":
-        data[at : at + run] = bytes(len(data[at : at + run]))
-    elif kind == "noise":
-        data[at : at + run] = rng.bytes(len(data[at : at + run]))
-    elif kind == "cut":
-        del data[at:]
-    else:
-        # Sizes and addresses are little-endian 8-byte numbers on 8-byte bounds as a rule.
-        at &= ~7
-        value = int(rng.choice([0, 1, 2**31, 2**40, 2**62, 2**63 - 1, size, size - 8, at]))
-        data[at : at + 8] = value.to_bytes(8, "little")[: len(data[at : at + 8])]
-    if data == content:
-        data[at] ^= 1
-    return bytes(data), f"{kind} at {at}"
-
-
-def _bytes_of_shard(root: Path, rng: Rng) -> str:
-    path = _any_shard(root, rng)
-    content, outcome = _spoil(path.read_bytes(), rng)
-    path.write_bytes(content)
-    return f"{path.name} {outcome}"
-
-
-def _bytes_of_manifest(root: Path, rng: Rng) -> str:
-    path = root / "manifest.json"
-    content, outcome = _spoil(path.read_bytes(), rng)
-    path.write_bytes(content)
-    return f"manifest {outcome}"
-
-
-_ODD_VALUES: tuple[Any, ...] = (
-    None, -1, 0, 1, 2**31, 2**63, 10**30, 1.5, True, "", "x", [], {}, [[]], "\ud800",
-    "../secret.h5", "train/../../secret.h5", "test/shard-00000.h5", "simnfnd/2", "\0", "a" * 10**5,
-)  # fmt: skip
-
-
-def _values_of_manifest(root: Path, rng: Rng) -> str:
-    path = root / "manifest.json"
-    document = json.loads(path.read_text())
-    shard = document["shards"][rng.integers(3)]
-    target = document if rng.random() < 0.3 else shard
-    key = sorted(target)[rng.integers(len(target))]
-    value = _ODD_VALUES[rng.integers(len(_ODD_VALUES))]
-    if rng.random() < 0.15:
-        del target[key]
-    elif rng.random() < 0.15:
-        document["shards"].append(dict(shard))
-    else:
-        target[key] = str((root.parent / "secret.h5").resolve()) if value == "x" else value
-    path.write_text(json.dumps(document))
-    return f"manifest {key} = {str(value)[:30]!r}"
-
-
-def _objects_of_shard(root: Path, rng: Rng) -> str:
-    path = _any_shard(root, rng)
-    name = str(rng.choice(["noisy", "clean", "shadow", "range", "segmentation", "meta"]))
-    kind = sorted(OBJECTS)[rng.integers(len(OBJECTS))]
-    with h5py.File(path, "r+") as file:
-        OBJECTS[kind](file, name, (root.parent / "secret.h5").resolve())
-    return f"{path.name} {name}: {kind}"
-
-
 def _again(file: h5py.File, name: str, **keywords: Any) -> h5py.Dataset:
     """Another dataset of the same name, otherwise as the schema has it."""
     del file[name]
@@ -327,32 +225,3 @@ OBJECTS: dict[str, Callable[[h5py.File, str, Path], Any]] = {
     "axes absent": lambda file, name, secret: file.pop("axes"),
     "no labels": lambda file, name, secret: file["noisy"].attrs.pop("DIMENSION_LABELS"),
 }
-
-
-def _files(root: Path, rng: Rng) -> str:
-    names = [*SHARDS, "manifest.json", "index.h5"]
-    path = root / names[rng.integers(len(names))]
-    kind = str(rng.choice(["absent", "empty", "folder", "pipe", "link", "swapped", "endless"]))
-    other_shard = root / "test/shard-00000.h5"
-    content = other_shard.read_bytes()
-    path.unlink()
-    if kind == "empty":
-        path.touch()
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "link":
-        path.symlink_to((root.parent / "secret.h5").resolve())
-    elif kind == "swapped":
-        path.write_bytes(content)
-    elif kind == "endless":
-        path.symlink_to("/dev/zero")
-    return f"{'manifest' if path.suffix == '.json' else path.name} is {kind}"
-
-
-def copy(root: Path, target: Path) -> Path:
-    """A fresh copy of a sound dataset."""
-    shutil.rmtree(target, ignore_errors=True)
-    shutil.copytree(root, target)
-    return target

@@ -159,18 +159,6 @@ def test_threads_read_the_same(sound: Path) -> None:
     assert wrong == []
 
 
-def test_a_torch_loader_with_workers_reads_every_sample_once(sound: Path) -> None:
-    from torch.utils.data import DataLoader
-
-    pairs: Any = PairDataset(sound, scaled=True)
-    loader = DataLoader(pairs, 3, shuffle=True, num_workers=2, multiprocessing_context="fork")
-    observed = [image.numpy() for batch in loader for image in batch["noisy"]]
-    assert {image.shape for image in observed} == {(24, 20)}
-    assert {image.dtype for image in observed} == {np.dtype(np.float32)}
-    stored = {(pair.noisy.astype(np.float32) * np.float32(1 / 255)).tobytes() for pair in PAIRS}
-    assert {image.tobytes() for image in observed} == stored
-
-
 def test_shuffled_samples_come_once_from_several_workers(sound: Path) -> None:
     from torch.utils.data import DataLoader, IterableDataset
 

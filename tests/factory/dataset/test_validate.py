@@ -26,16 +26,11 @@ from tests.factory.dataset.hostile import (
     PROVENANCE,
     admit,
     check,
-    copy,
-    mutate,
     reseal,
     whole,
     with_layers,
 )
 from tests.factory.dataset.some_shards import some_pairs, write
-
-# benchmarks/bench_trust.py goes through hundreds of them.
-MUTATIONS = 16
 
 
 @pytest.fixture(scope="module")
@@ -266,21 +261,6 @@ def test_no_object_that_the_schema_has_not_is_read(
         assert read.startswith("refused: "), read
         assert found != "valid"
         assert "train/shard-00000.h5" in read.replace("\\", "/")
-
-
-@pytest.mark.slow
-def test_mutated_datasets_get_a_clear_answer(
-    sound: Path, folder: Path, reader: IsolatedProcess
-) -> None:
-    answers = set()
-    for number in range(MUTATIONS):
-        root = copy(sound, folder)
-        outcome = mutate(root, number)
-        read, found = check(root, reader)
-        answers.add((read == "read", found == "valid"))
-        if "admitted" not in outcome and ".h5" in outcome and "index" not in outcome:
-            assert found != "valid", outcome
-    assert (False, False) in answers
 
 
 def test_what_happens_in_the_isolated_process_is_reported(reader: IsolatedProcess) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from ....common.array_types import Float64s
 from ....common.seeds import stream
 from ...meshes.arrays import Draws
+from ...meshes.camera import WORLD_SEED
 from ...meshes.triangle_mesh import (
     Mesh,
     bars,
@@ -30,7 +31,7 @@ from ...meshes.triangle_mesh import (
 )
 from ...meshes.waves import Waves
 from . import things
-from .terrain import WORLD_SEED, pick
+from .terrain import pick
 from .things import BRONZE, GLASS, PAINTS, RUST, STEEL, curve, lying
 
 Builder = Callable[[Draws], Mesh]

@@ -21,21 +21,17 @@ _F = np.float32
 _ZERO = _F(0)
 _HALF = _F(0.5)
 _ONE = _F(1)
-_TURNS = _F(1 / (2 * np.pi))
 _STEP = _F(1 / STEPS)
 _BITS = np.int32(24)
-_BLOCK = 1024
-_NEAR_M = 0.02  # what is nearer to the lens is not seen
 _SHADE_M = _F(0.04)  # how far behind an object its shadow begins
 # Of an index with a sign every access asks whether it is negative.
 _U = np.uint64
 
-_LINE, _ROWS = (f"Array(float32, {n}, 'C', readonly=True)" for n in (1, 2))
+_ROWS = "Array(float32, 2, 'C', readonly=True)"
 _WHOLES = "Array(int32, 2, 'C', readonly=True)"
 _OWNERS = "Array(uint16, 1, 'C', readonly=True)"
 _PLANE = "float32[:, ::1]"
 _VECTORS = "float32[:, :, ::1]"
-_CAMERA = "Tuple((float64[::1], float64[:, ::1], float64[::1]))"
 _SIGHT = "Tuple((float32[::1], float32[:, ::1], float32[::1]))"
 _SEEN = "Tuple((float32[:, ::1], int32[:, ::1]))"
 _MESH = f"Tuple(({_ROWS}, {_ROWS}, {_ROWS}, {_WHOLES}))"

@@ -19,14 +19,14 @@ import numpy.typing as npt
 from ....common.array_types import Float32s, Float64s, Floats, Int32s
 from ....common.seeds import stream
 from ...meshes.arrays import Colour, Draws
+from ...meshes.camera import WORLD_SEED
 from ...meshes.waves import Waves
+from ..moving import FARTHEST_M
 
 Range = tuple[float, float]
 Place = Mapping[str, Any]  # a kind of place, as `places.yaml` describes it
 
-WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
 TILE = 1024  # pixels a side of every noise image
-FAR_M = 36.0  # the ground ends here; water hides it long before
 
 # The order is the order in which locations 0, 1, 2, ... take them.
 PlaceName = Literal[
@@ -293,7 +293,7 @@ class Terrain:
         """
         rows, columns = shape
         coarse = max(columns // 4, 8)
-        ranges = np.geomspace(0.15, FAR_M, 160)
+        ranges = np.geomspace(0.15, FARTHEST_M, 160)
         headings = np.linspace(*azimuths_rad, coarse)
         grid_r, grid_a = np.meshgrid(ranges, headings, indexing="ij")
         heights = self.height_m(eye[0] + grid_r * np.cos(grid_a), eye[1] + grid_r * np.sin(grid_a))

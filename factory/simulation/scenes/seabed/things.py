@@ -17,6 +17,7 @@ import numpy as np
 from ....common.array_types import Float32s, Float64s
 from ....common.seeds import stream
 from ...meshes.arrays import Draws
+from ...meshes.camera import WORLD_SEED
 from ...meshes.triangle_mesh import (
     Mesh,
     bars,
@@ -31,7 +32,7 @@ from ...meshes.triangle_mesh import (
     tube,
 )
 from ...meshes.waves import Waves
-from .terrain import WORLD_SEED, catalogue, pick, smoothstep
+from .terrain import catalogue, pick, smoothstep
 
 GroundHeight = Callable[[Float64s, Float64s], Float32s]
 

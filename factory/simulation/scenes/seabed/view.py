@@ -11,19 +11,25 @@ import numpy as np
 from ....common.array_types import Array, Bools, Float32s, Float64s, Floats, UInt8s
 from ....common.seeds import stream
 from ....dataset.frame_ref import FrameRef
-from ...frames.frame import Frame, Intrinsics, Surroundings
+from ...frames.frame import (
+    GROUND_STEP_M,
+    GROUND_STEPS,
+    Frame,
+    Intrinsics,
+    Surroundings,
+)
 from ...meshes.arrays import Draws
-from ...meshes.camera import Optics, Pose, Stance, ZBuffer, camera, centred, moved, pose
+from ...meshes.camera import WORLD_SEED, Optics, Pose, Stance, ZBuffer, camera, centred, moved, pose
 from ...meshes.triangle_mesh import grid_triangles
-from .terrain import FAR_M, TILE, WORLD_SEED, Ground, tiles
+from ..flsea import CALIBRATED_SIZE
+from ..moving import FARTHEST_M
+from .terrain import TILE, Ground, tiles
 from .world import SeabedWorld
 
 Movement = Mapping[str, float]
 _SUN_M = 400.0  # how far away the camera in the sun is
 _SHADE_M = 14.0  # side of the ground that it sees
 _SHADE_CELLS = 512  # pixels on a side of its image
-_FLSEA_WIDTH_PX = 968
-_FLSEA_HEIGHT_PX = 608
 _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the water
 
 
@@ -49,7 +55,7 @@ def take(
         viewpoint = moved(viewpoint, movement)
     azimuths, elevations = field_of_view(viewpoint, optics)
     # The mesh is as fine as the pixels: for FLSea's width and 45 degrees, 280 cells across.
-    fine = min(max(optics.width / optics.across / _FLSEA_WIDTH_PX, 0.35), 1.5)
+    fine = min(max(optics.width / optics.across / CALIBRATED_SIZE[0], 0.35), 1.5)
     shape = (int(370 * fine), int(280 * fine * optics.across))
     ground = world.terrain.seen_from(viewpoint.eye, azimuths, elevations, shape)
     z_buffer = ZBuffer(viewpoint, optics, world.objects, ground.points)
@@ -64,7 +70,7 @@ def take(
     if gaps:
         keep = measured(rng, depth_m, range_m, clear_m)
     else:
-        clear_m = FAR_M
+        clear_m = FARTHEST_M
         keep = depth_m < _FURTHEST_M
     segmentation, instance = (plane * (range_m < clear_m) for plane in z_buffer.shown)
     height_m = world.terrain.height_m(*viewpoint.eye[:2, None])[0]
@@ -82,16 +88,12 @@ def take(
     )
 
 
-_AROUND_M = 24  # half the side of the known ground
-_AROUND_STEP_M = 1.0  # spacing of its heights
-
-
 def surroundings(world: SeabedWorld, stance: Stance) -> Surroundings:
     """Where the recording of a location begins, and the ground around."""
     start = choose_pose(world, 0, stance)
-    steps_m = np.arange(-_AROUND_M, _AROUND_M + 1) * _AROUND_STEP_M
+    steps_m = np.arange(-GROUND_STEPS, GROUND_STEPS + 1) * GROUND_STEP_M
     x, y = np.meshgrid(start.eye[0] + steps_m, start.eye[1] + steps_m)
-    return Surroundings(start.matrix, world.terrain.height_m(x, y), _AROUND_STEP_M)
+    return Surroundings(start.matrix, world.terrain.height_m(x, y), GROUND_STEP_M)
 
 
 def field_of_view(
@@ -167,7 +169,7 @@ def measured(rng: Draws, depth_m: Float32s, range_m: Float32s, clear_m: float) -
     depth_m, range_m: (H, W), inf where there is only water.  clear_m: how far the water lets
     matching work; the border is ragged.  About 8 to 38 % are lost, small shares more often.
     """
-    scale = depth_m.shape[1] / _FLSEA_WIDTH_PX
+    scale = depth_m.shape[1] / CALIBRATED_SIZE[0]
     near_m = np.minimum(depth_m[::2, ::2], np.float32(1e4))
     range_m = range_m[::2, ::2]
     broad, grain = _texture_noise(rng, near_m.shape, scale)
@@ -271,7 +273,7 @@ def choose_pose(world: SeabedWorld, frame: int, stance: Stance) -> Pose:
         per_turned_deg = _PENALTY_PER_TURNED_DEG_BETWEEN_WALLS
 
     lookouts = _look_around(world, eye, heading)
-    rays = camera(_FLSEA_WIDTH_PX, _FLSEA_HEIGHT_PX).directions(np.eye(3), 32).reshape(-1, 3)
+    rays = camera(*CALIBRATED_SIZE).directions(np.eye(3), 32).reshape(-1, 3)
     candidates = []
     for yaw in _CANDIDATE_YAWS_DEG:
         for lower in lowers:
@@ -296,7 +298,7 @@ class _Lookouts(NamedTuple):
 
 def _look_around(world: SeabedWorld, eye: Float64s, heading: float) -> _Lookouts:
     """Look to both sides over coarse ground ahead and beside, without the fine relief."""
-    ranges = np.geomspace(0.15, FAR_M, 72)[:, None]
+    ranges = np.geomspace(0.15, FARTHEST_M, 72)[:, None]
     azimuths = np.deg2rad(heading) + np.deg2rad(np.linspace(-112, 112, 144))[None]
     x = eye[0] + ranges * np.cos(azimuths)
     y = eye[1] + ranges * np.sin(azimuths)

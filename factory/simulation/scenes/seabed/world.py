@@ -13,11 +13,11 @@ from ....common.array_types import Float64s
 from ....common.seeds import stream
 from ....dataset.labels import CLASSES, FITTING, class_names
 from ...meshes.arrays import Draws
-from ...meshes.camera import Objects
+from ...meshes.camera import WORLD_SEED, Objects
 from ...meshes.triangle_mesh import Mesh, mesh, rotation
 from ...meshes.waves import Waves
 from . import detailed, furniture, things
-from .terrain import WORLD_SEED, Look, Place, Range, Terrain, catalogue
+from .terrain import Look, Place, Range, Terrain, catalogue
 
 
 class Own(NamedTuple):

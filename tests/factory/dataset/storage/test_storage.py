@@ -132,32 +132,6 @@ def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_p
     assert manifest_of(url).keys() == shard_bytes(local).keys()
 
 
-@pytest.mark.slow
-def test_processes_that_want_one_shard_fetch_it_once(bucket: str, tmp_path: Path) -> None:
-    url = f"{bucket}/wanted"
-    make(folder_of(url))
-    path = folder_of(url) / "train/shard-00001.h5"
-    log = tmp_path / "log"
-    path.unlink()
-    code = (
-        "import sys, time; from pathlib import Path\n"
-        "from simnfnd.factory.dataset.storage import Store\n"
-        "from simnfnd.factory.dataset.reader import bring\n"
-        "plain = Store.get\n"
-        "def get(self, name):\n"
-        "    open(sys.argv[2], 'a').write(name + '\\n')\n"
-        "    time.sleep(1)\n"
-        "    return plain(self, name)\n"
-        "Store.get = get\n"
-        "bring(Path(sys.argv[1]))"
-    )
-    words = [sys.executable, "-c", code, str(path), str(log)]
-    both = [subprocess.Popen(words, cwd=ROOT) for _ in range(2)]
-    assert [process.wait(60) for process in both] == [0, 0]
-    assert path.exists()
-    assert log.read_text() == "train/shard-00001.h5\n"
-
-
 def test_two_runs_do_not_write_at_once(bucket: str) -> None:
     url = f"{bucket}/two"
     store = Store(url)
@@ -357,29 +331,6 @@ def test_shuffled_fetches_each_shard_once_an_epoch(
             assert remaining <= int(os.environ["SIMNFND_CLOUD_CACHE_BYTES"])
             assert max(requests.values()) <= epoch + 1
     assert len(requests) == SHARDS
-
-
-@pytest.mark.parametrize("room", [1, 4.5])
-def test_training_fetches_each_shard_once_for_the_table_and_once_a_round(
-    dozen: Path, far: str, requests: Counter[str], monkeypatch: pytest.MonkeyPatch, room: float
-) -> None:
-    pytest.importorskip("torch")
-    from simnfnd.models.data.crops import VisitSampler
-    from simnfnd.models.data.pairs import TrainingPairs, read_table
-    from simnfnd.models.settings import PairsData
-
-    keep(monkeypatch, dozen, room)
-    table = read_table(far, "train")
-    assert requests == {f"train/shard-{number:05d}.h5": 1 for number in range(SHARDS)}
-    requests.clear()
-    source = TrainingPairs(table.samples, table.sonar)
-    sizes: Any = {"patch": 16, "batch": 1, "crops": 1, "weaker": 0, "workers": 0, "reuse": 1}
-    data = PairsData(kind="pairs", validation=0.1, validation_limit=None, **sizes)
-    for step in VisitSampler(len(source), data, len(source), 0, source.places):
-        for visit in step:
-            source.sample(visit.image, visit.number)
-    # 36 visits: one round, of which the cache still holds some shards.
-    assert max(requests.values(), default=0) == 1
 
 
 def test_a_limit_that_is_no_number_is_one_line(far: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,6 @@ import pytest
 import yaml
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.dataset.card import hub_fields
 from simnfnd.factory.dataset.labels import CLASSES
 from simnfnd.factory.production.export import FORMATS, export
 from simnfnd.factory.production.export.objects import MIN_OBJECT_PX
@@ -86,18 +85,6 @@ def test_webdataset_gives_back_every_sample(which, request, tmp_path) -> None:
                 np.testing.assert_array_equal(actual, stored(source, split, name))
         for sample, row in zip(samples, table, strict=True):
             same_record(sample["json"], row)
-
-
-def test_each_worker_of_a_loader_gets_tars_of_its_own(fans, tmp_path) -> None:
-    import webdataset
-    from torch.utils.data import DataLoader
-
-    export(fans, "webdataset", tmp_path / "out")
-    urls = [str(path) for path in sorted((tmp_path / "out").glob("train-*.tar"))]
-    pairs = webdataset.WebDataset(urls, shardshuffle=False).to_tuple("__key__")
-    loader = DataLoader(pairs, batch_size=None, num_workers=2)
-    keys = sorted(key for (key,) in loader)
-    assert keys == [f"train-{number:06d}" for number in range(TOTALS["train"])]
 
 
 @pytest.mark.parametrize("which", ["fans", "floats"])
@@ -365,21 +352,6 @@ def test_objects_are_lists_as_of_the_hub(labelled: Path, tmp_path: Path) -> None
     assert b'"List"' not in table.schema.metadata[b"huggingface"]
 
 
-@pytest.mark.parametrize(
-    ("licence", "fields"),
-    [
-        ("CC BY 4.0", {"license": "cc-by-4.0"}),
-        ("Apache-2.0", {"license": "apache-2.0"}),
-        ("Our terms (2026)", {"license": "other", "license_name": "our-terms-2026"}),
-        (None, {}),
-    ],
-)
-def test_the_hub_knows_the_licence(licence: str | None, fields: dict[str, str]) -> None:
-    card = hub_fields("reef", licence, 3)
-    assert {key: card[key] for key in card if key.startswith("license")} == fields
-    assert "reef" in card["pretty_name"]
-
-
 def test_small_boxes_are_left_out(labelled: Path, tmp_path: Path) -> None:
     export(labelled, "coco", tmp_path / "out", min_side_px=8)
     sides = []
@@ -393,19 +365,6 @@ def test_small_boxes_are_left_out(labelled: Path, tmp_path: Path) -> None:
     ]
     assert sorted(sides) == sorted(side for side in expected if side >= 8)
     assert len(sides) < len(expected)
-
-
-def test_a_readme_describes_its_export_alone(labelled: Path, fans: Path, tmp_path: Path) -> None:
-    export(labelled, "yolo", tmp_path / "yolo")
-    text = (tmp_path / "yolo/README.md").read_text()
-    assert "Classes: 0 Tire, 1 Barrel." in text
-    for absent in ("noise.background.density", "| segmentation", "| shadow", "record of each"):
-        assert absent not in text
-    export(fans, "png", tmp_path / "png")
-    text = (tmp_path / "png/README.md").read_text()
-    for present in ("noise.background.density", "| segmentation", "20 Barrel", "record of each"):
-        assert present in text
-    assert "| range " not in text  # no PNG holds it
 
 
 def test_the_card_states_licence_and_title(floats: Path, labelled: Path, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import psutil
 import pytest
 import yaml
 from hypothesis import given
@@ -127,24 +126,18 @@ def test_a_shell_with_few_open_files(tmp_path: Path, limit: int, said: str, told
     assert done.stdout == told
 
 
-@pytest.mark.parametrize("which", ["n", "v"])
 def test_the_papers_48_processes_in_a_narrow_shell(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], which: str
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     import resource
 
-    kinds = {"n": resource.RLIMIT_NOFILE, "v": resource.RLIMIT_AS}
-    most = {"n": 256, "v": psutil.Process().memory_info().vms + (3 << 30)}[which]
-    monkeypatch.setattr(
-        resource, "getrlimit", lambda kind: (most, most) if kind == kinds[which] else (-1, -1)
-    )
+    monkeypatch.setattr(resource, "getrlimit", lambda kind: (256, 256))
     values = yaml.safe_load((ROOT / "conf/scheduler/paper48.yaml").read_text())
     del values["defaults"]
     actual = SchedulerSettings(**values).worker_counts(480, 480)
     assert 4 < actual.total < 40
-    shown = most if which == "n" else most // 1024
     assert capsys.readouterr().err.startswith(
-        f"ulimit -{which} is {shown}: {actual.total} of 48 workers fit and are used; raise it"
+        f"ulimit -n is 256: {actual.total} of 48 workers fit and are used; raise it"
     )
 
 

@@ -236,7 +236,7 @@ def test_environment_and_folder_are_those_of_now(
 def test_one_that_hangs_is_killed_and_the_worker_comes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(local, "_PROCESS_S", 2.0)
+    monkeypatch.setattr(local, "_BEGIN_S", 2.0)
     template.start((LOADED,))
     psutil.Process(template_pid()).suspend()
     begun = time.monotonic()

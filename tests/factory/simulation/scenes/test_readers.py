@@ -416,35 +416,22 @@ def test_npy_of_one_channel_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "format_name"),
+    ("name", "content"),
     [
-        ("d.exr", b"\x76\x2f\x31\x01\x02\0\0\0" + bytes(90), "OpenEXR"),
-        ("d.h5", b"\x89HDF\r\n\x1a\n" + bytes(90), "HDF5"),
-        ("d.npz", b"PK\x03\x04" + bytes(90), ".npz"),
-        ("d.bin", b"24&16&1&" + bytes(90), "COLMAP"),
-        ("d.xyz", b"1.0 2.0 3.0\n" * 9, r"no format that is read \(\.xyz\)"),
+        ("d.exr", b"\x76\x2f\x31\x01\x02\0\0\0" + bytes(90)),
+        ("d.npz", b"PK\x03\x04" + bytes(90)),
+        ("d.bin", b"24&16&1&" + bytes(90)),
     ],
 )
-def test_a_foreign_format_is_named_with_those_that_are_read(
-    tmp_path: Path, name: str, content: bytes, format_name: str
+def test_of_a_foreign_format_those_that_are_read_are_named(
+    tmp_path: Path, name: str, content: bytes
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(FrameError, match=rf"{format_name}.*PNG or TIFF.*\.npy"):
+    with pytest.raises(FrameError, match=r"no format that is read.*PNG or TIFF.*\.npy"):
         read_depth(tmp_path / name)
-
-
-@pytest.mark.parametrize("numbers", ["f2", "c8"])
-def test_a_tiff_of_other_numbers_is_named(tmp_path: Path, numbers: str) -> None:
-    path = write_tiff(tmp_path / "depth.tif", DEPTH.astype(numbers))
-    with pytest.raises(FrameError, match=r"TIFF of (16-bit floats|64-bit complex)"):
-        read_depth(path)
-
-
-def test_a_stack_of_depth_maps_is_refused(tmp_path: Path) -> None:
-    page = Image.fromarray(DEPTH)
-    page.save(tmp_path / "depth.tif", save_all=True, append_images=[page, page])
-    with pytest.raises(FrameError, match="holds 3 images"):
-        read_depth(tmp_path / "depth.tif")
+    half = write_tiff(tmp_path / "half.tif", DEPTH.astype(np.float16))
+    with pytest.raises(FrameError, match=r"no format that is read.*32- or 64-bit floats"):
+        read_depth(half)
 
 
 MARKS = {
@@ -509,39 +496,17 @@ def test_images_are_turned_upright(tmp_path: Path, orientation: int, suffix: str
     assert image_size(path) == (24, 16)
 
 
-def test_a_mismatch_after_turning_names_the_orientation(tmp_path: Path) -> None:
-    exif = Image.Exif()
-    exif[274] = 6
-    Image.fromarray(RGB).save(tmp_path / "turned.jpg", exif=exif)
-    np.save(tmp_path / "depth.npy", DEPTH)
-    (tmp_path / "list.csv").write_text("turned.jpg,depth.npy\n")
-    listed = reader("csv_list", tmp_path / "list.csv", intrinsics=[20, 20, 7.5, 11.5])
-    with pytest.raises(FrameError, match="EXIF orientation 6"):
-        listed.load(listed.discover().frames[0])
-
-
 @pytest.mark.parametrize(
-    ("intrinsics", "suggested"),
+    "intrinsics",
     [
-        ([40, 40, 23.5, 15.5], "20,20,11.5,7.5"),
-        ([80, 80, 48, 32], "20,20,11.625,7.625"),
-        ([10, 10, 5.5, 3.5], "20,20,11.5,7.5"),
-        ([20 / 24, 20 / 16, 0.5, 0.5], "20,20,12,8"),
-        ([20, 20, 11.5, 16], None),
-        ([20, 20, -3, 7.5], None),
+        *([40, 40, 23.5, 15.5], [10, 10, 5.5, 3.5], [20 / 24, 20 / 16, 0.5, 0.5]),
+        *([20, 20, 11.5, 16], [20, 20, -3, 7.5]),
     ],
 )
-def test_intrinsics_of_another_size_are_refused(
-    tmp_path: Path, intrinsics: list[float], suggested: str | None
-) -> None:
+def test_intrinsics_of_another_size_are_refused(tmp_path: Path, intrinsics: list[float]) -> None:
     np.save(tmp_path / "depth.npy", DEPTH)
-    with pytest.raises(FactoryError, match=r"^scenes\.intrinsics: ") as caught:
+    with pytest.raises(FactoryError, match=r"^scenes\.intrinsics: principal point .*24x16"):
         listed_frame(tmp_path, tmp_path / "depth.npy", intrinsics=intrinsics)
-    assert ("[" in str(caught.value)) == (suggested is not None)
-    if suggested:
-        assert f"[{suggested}]" in str(caught.value)
-        values = [float(number) for number in suggested.split(",")]
-        listed_frame(tmp_path, tmp_path / "depth.npy", intrinsics=values)
 
 
 @settings(max_examples=50)
@@ -563,7 +528,7 @@ def test_images_of_two_sizes_need_two_lists(tmp_path: Path) -> None:
     np.save(tmp_path / "1.npy", DEPTH)
     np.save(tmp_path / "2.npy", DEPTH[::2, ::2])
     (tmp_path / "list.csv").write_text("1.png,1.npy\n2.png,2.npy\n")
-    with pytest.raises(FactoryError, match=r"24x16 .*1\.png.*12x8 .*2\.png.* fit 24x16"):
+    with pytest.raises(FactoryError, match=r"24x16 .*1\.png.*12x8 .*2\.png.*list"):
         reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE).discover()
 
 
