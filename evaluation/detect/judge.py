@@ -11,7 +11,7 @@ import numpy as np
 
 from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.seeds import stream
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ...factory.dataset.fan_geometry import FanGeometry
@@ -276,7 +276,7 @@ def _run_tasks(
     lost: dict[str, str] = {}
     # The slowest first, so that no worker is left with it at the end.
     waiting = deque(sorted(tasks, key=lambda task: (-task.row.frames, task.row.kind != "network")))
-    with progress_bar(total=len(tasks), unit="row", desc="detecting") as bar:
+    with Bar(total=len(tasks), unit="row", desc="detecting") as bar:
         for task, result in pool.run(run_row, waiting, lambda _: timeout_s):
             bar.update()
             if isinstance(result, TaskLost):

@@ -24,7 +24,7 @@ import numpy as np
 from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import explain_os_errors, write_atomically
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.small_files import read_regular
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ..filters import REGISTRY, Baseline, Parameters, method_of
@@ -114,7 +114,7 @@ def run_tasks(
     """Each task with what `function` found, or why it failed, as they are done."""
     if not tasks:
         return
-    with progress_bar(total=len(tasks), unit="filter", desc="tuning") as bar:
+    with Bar(total=len(tasks), unit="filter", desc="tuning") as bar:
         for task, outcome in pool.run(function, deque(tasks), limit_s):
             bar.update()
             yield task, outcome.reason if isinstance(outcome, TaskLost) else outcome

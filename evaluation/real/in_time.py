@@ -20,7 +20,7 @@ import numpy as np
 
 from ...factory.common.array_types import Array, Bools, Floats
 from ...factory.common.errors import FactoryError
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.workers.tasks import TaskPool
 from ...models.denoise.temporal.stream import FRAMES
 from ..filters import Parameters
@@ -191,7 +191,7 @@ def judged_in_time(
     parameters, notes = _tuned(recordings, statics)
     methods = _methods_of(networks, parameters)
     subjects = [kind for static in statics for kind in kinds_of(static)]
-    with progress_bar(total=len(methods) * len(subjects), unit="row", desc="in time") as bar:
+    with Bar(total=len(methods) * len(subjects), unit="row", desc="in time") as bar:
         bar.refresh()  # the first recording may take minutes
         measured = run(
             methods,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ..filters import Baseline
 from ..judging import tuning
@@ -98,7 +98,7 @@ def _search_groups(
         return Searched([], [shot for stretch in stretches for shot in stretch.shots], [])
     waiting = deque((number, stretch, settings.limit) for number, stretch in enumerate(stretches))
     searched: dict[int, Searched] = {}
-    with progress_bar(total=len(waiting), unit="folder", desc="static groups") as bar:
+    with Bar(total=len(waiting), unit="folder", desc="static groups") as bar:
         for (number, stretch, _), stretch_result in pool.run(search, waiting, lambda _: _SEARCH_S):
             bar.update()
             if isinstance(stretch_result, TaskLost):
@@ -190,7 +190,7 @@ def _measure(
             yield dict(batch)
 
     alive = [method for method in methods if method.label not in lost]
-    with progress_bar(total=len(shots) * len(alive), unit="image", desc="judging") as bar:
+    with Bar(total=len(shots) * len(alive), unit="image", desc="judging") as bar:
         measured = run(
             alive,
             batches(),

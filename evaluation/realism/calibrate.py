@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.files import explain_os_errors, real_path
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.seeds import spawn_key
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.dataset.frame_ref import FrameRef
@@ -64,13 +64,13 @@ def fit(settings: FitSettings) -> dict[str, Any]:
     before = apart({})
     finished = optuna.trial.TrialState.COMPLETE
     done = len(study.get_trials(deepcopy=False, states=(finished,)))
-    with progress_bar(total=settings.trials, initial=done, unit="trial", desc=settings.name) as bar:
+    with Bar(total=settings.trials, initial=done, unit="trial", desc=settings.name) as bar:
         for number in range(done, settings.trials):
             study.sampler = _sampler(settings, number)
             trial = study.ask()
             study.tell(trial, apart(_values(settings.parameters, trial)))
             bar.update()
-            bar.set_postfix(best=f"{study.best_value:.2f}")
+            bar.set_postfix(f"best={study.best_value:.2f}")
     best = study.best_trial
     values = _values(settings.parameters, optuna.trial.FixedTrial(best.params))
     said = (

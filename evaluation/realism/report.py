@@ -15,7 +15,7 @@ import numpy as np
 from ...factory.common.array_types import Array, Float64s
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import real_path
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.seeds import stream
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.dataset.reader import Split
@@ -119,7 +119,7 @@ def described(collection: Collection, grid: Grid) -> pd.DataFrame:
     import pandas as pd
 
     rows = []
-    with progress_bar(total=len(collection.sources), unit="image", desc=collection.name) as bar:
+    with Bar(total=len(collection.sources), unit="image", desc=collection.name) as bar:
         for source in collection.sources:
             rows.append(features_of(source.polar(grid), source.geometry.range_span_m))
             bar.update()

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, write_atomically
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.workers.tasks import TaskPool
 from ..filters import Baseline
 from ..judging import tuning
@@ -115,7 +115,7 @@ def measure(
     refuse_metrics_of_scripts(settings.workers)
     pair_images.cache_clear()  # files may have changed since the last report of this process
     pairs: dict[int, Subject] = dict(enumerate(items))
-    with progress_bar(total=len(methods) * len(items), unit="image", desc="measuring") as bar:
+    with Bar(total=len(methods) * len(items), unit="image", desc="measuring") as bar:
         return run(
             methods,
             [pairs],

@@ -6,38 +6,31 @@ now and then, which `tail -f` shows and which does not fill a disk.
 
 from __future__ import annotations
 
+import shutil
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-if TYPE_CHECKING:
-    from tqdm import tqdm
+from typing import NamedTuple, Self
 
 _LINE_EVERY_S = 30.0
-
-
-@cache
-def terminal_bars() -> type[tqdm[Any]]:
-    """tqdm, which is imported where a terminal needs it, with a lock of this process alone.
-
-    The lock that tqdm makes by default is a semaphore of the system, which a worker that is killed
-    leaves behind.
-    """
-    from tqdm import tqdm
-
-    tqdm.set_lock(threading.RLock())
-    tqdm.monitor_interval = 0  # nor a thread
-    return tqdm
+_DRAW_EVERY_S = 0.1
+_CLEAR = "\r\x1b[K"  # of a terminal: begin the line again
 
 
 def stage(text: str) -> None:
     """Report what begins now."""
-    terminal_bars().write(text, file=sys.stderr)
+    if sys.stderr.isatty():
+        text = f"{_CLEAR}{text}"
+    print(text, file=sys.stderr, flush=True)
+
+
+def draw_line(text: str) -> None:
+    """Draw the last line of a terminal anew."""
+    columns = shutil.get_terminal_size().columns
+    sys.stderr.write(_CLEAR + text[: columns - 1])
     sys.stderr.flush()
 
 
@@ -109,32 +102,69 @@ class Lines:
         return True
 
 
-class _AsLines:
-    """stderr of a file: what a bar draws anew is a line of its own."""
+class Bar:
+    """Counts steps on stderr: one line that is drawn anew on a terminal, some lines in a file.
 
-    def write(self, text: str) -> None:
-        """What tqdm writes begins where the line began, and may be blank."""
-        if line := text.strip("\r\n "):
-            print(line, file=sys.stderr, flush=True)
-
-    def flush(self) -> None:
-        """Do nothing: no line is held back."""
-
-
-def progress_bar(*, total: int, initial: int = 0, unit: str, desc: str) -> tqdm[Any]:
-    """A bar over `total` steps that `update` counts; fit for where stderr goes.
-
-    unit: what is counted, in the singular.  initial: this many of them were done before.
+    total, n: steps in all, and those that are done.
+    uncounted: files that will add to the total when they are opened.
     """
-    options: dict[str, Any] = {"total": total, "initial": initial, "unit": unit, "desc": desc}
-    if sys.stderr.isatty():
-        return terminal_bars()(**options, dynamic_ncols=True)
-    form = "{desc}: {n_fmt} of {total_fmt} {unit}s in {elapsed}, {remaining} left{postfix}"
-    options |= {"mininterval": _LINE_EVERY_S, "maxinterval": _LINE_EVERY_S, "delay": 1e-9}
-    bar: tqdm[Any] = terminal_bars()(**options, file=_AsLines(), bar_format=form)
-    for name in ("set_postfix", "set_postfix_str"):  # it would redraw at each
-        setattr(bar, name, partial(getattr(bar, name), refresh=False))
-    return bar
+
+    def __init__(self, *, total: int, initial: int = 0, unit: str, desc: str) -> None:
+        """unit: what is counted, in the singular.  initial: steps that were done before."""
+        self.total = total
+        self.n = initial
+        self.uncounted = 0
+        self._initial = initial
+        self._unit = unit
+        self._desc = desc
+        self._postfix = ""
+        self._begun = time.monotonic()
+        self._next_s = 0.0
+        self._is_drawn = sys.stderr.isatty()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def update(self) -> None:
+        """Count a step."""
+        self.n += 1
+        if time.monotonic() - self._begun >= self._next_s:
+            self.refresh()
+
+    def set_postfix(self, text: str) -> None:
+        """What the line ends with from now on."""
+        self._postfix = f", {text}"
+
+    def refresh(self) -> None:
+        """Show how far it is."""
+        elapsed_s = time.monotonic() - self._begun
+        self._next_s = elapsed_s + (_DRAW_EVERY_S if self._is_drawn else _LINE_EVERY_S)
+        text = (
+            f"{self._desc}: {self.n} of {self.total} {self._unit}s in {clock(elapsed_s)}"
+            f"{self._left(elapsed_s)}{self._postfix}"
+        )
+        if self._is_drawn:
+            draw_line(text)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Show the last state, and end the line."""
+        self.uncounted = 0
+        if self.total:
+            self.refresh()
+        if self._is_drawn:
+            print(file=sys.stderr)
+
+    def _left(self, elapsed_s: float) -> str:
+        steps = self.n - self._initial
+        more = f" and {self.uncounted} more file(s)" if self.uncounted else ""
+        if not steps or (self.n >= self.total and not more):
+            return more
+        return f", {clock(elapsed_s / steps * (self.total - self.n))} left{more}"
 
 
 def clock(seconds: float) -> str:

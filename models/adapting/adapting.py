@@ -118,7 +118,7 @@ def tune(
 
     def check(step: int, loss: float) -> Row:
         figure = lesson.figure(lesson.choosing, loop.average)
-        loop.bar.set_postfix_str(f"{first:.2f} -> {figure:.2f} dB")
+        loop.bar.set_postfix(f"{first:.2f} -> {figure:.2f} dB")
         if figure > best["figure"]:
             best.update(step=step, figure=figure)
             best_weights.update(copy.deepcopy(loop.average.state_dict()))

@@ -11,7 +11,7 @@ from pathlib import Path
 from ...factory import __version__
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, real_path, remove_stale_temporaries, sha256_of
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.workers.machine import keep_freed_memory
 from ..pretrained import POINTS
 from ..recordings.inputs import (
@@ -155,7 +155,10 @@ def _denoise_all(items: Sequence[InputFile], job: DenoisingJob) -> None:
     for folder in {(job.out / name).parent for item in items for name in item.results()}:
         remove_stale_temporaries(folder)
     try:
-        with progress_bar(total=images, unit="image", desc="denoising") as job.bar:
+        with Bar(total=images, unit="image", desc="denoising") as job.bar:
+            job.bar.uncounted = sum(
+                item.kind not in ("images", "shard") and item not in job.journal for item in items
+            )
             for sequence in runs:
                 denoise_files(sequence, job)
     except KeyboardInterrupt:

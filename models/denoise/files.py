@@ -160,6 +160,7 @@ class _RecordingRun:
     def write(self, path: Path) -> None:
         """Denoise all frames into the result at `path`, and report it."""
         bar = self._job.bar
+        bar.uncounted -= 1
         bar.total += self._recording.count
         bar_end = bar.n + self._recording.count
         try:

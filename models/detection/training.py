@@ -17,7 +17,7 @@ from torch import Tensor
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import write_atomically
 from ...factory.common.private_apis import move_averages
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.seeds import stream
 from .augmentation import vary
 from .images import WorkingImage, canvas_shape
@@ -161,7 +161,7 @@ class _Training:
         saved_s = time.monotonic()
         steps = self.schedule.steps
         self.network.train()
-        with progress_bar(total=steps, initial=self.step, unit="step", desc=label) as bar:
+        with Bar(total=steps, initial=self.step, unit="step", desc=label) as bar:
             while self.step < steps:
                 self._take_step()
                 bar.update()

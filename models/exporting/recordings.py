@@ -20,7 +20,7 @@ from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.extras import Need, require
 from ...factory.common.files import explain_os_errors, refuse_files, whole_file, whole_folder
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.production.commands.export import main as export_dataset
 from ..recordings import Recording, SonarFrame, dataset_of, is_recording, open_recording
 from ..recordings.base import FULL_SCALE, RecordingDevice, SonarPose
@@ -114,7 +114,7 @@ def _chosen(words: list[str]) -> _Chosen | None:
 def _frames(recording: Recording) -> Iterator[SonarFrame]:
     """All frames under a progress bar; of folders of `denoise` the fans and not their samples."""
     names = {path.name for path in recording.files}
-    with progress_bar(total=recording.count, unit="frame", desc="export") as bar:
+    with Bar(total=recording.count, unit="frame", desc="export") as bar:
         for frame in recording:
             bar.update()
             file = recording.files[frame.number] if recording.files else None

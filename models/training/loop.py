@@ -22,7 +22,7 @@ from torch.optim.swa_utils import AveragedModel
 from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.private_apis import move_averages
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.seeds import stream
 from ..data.pairs import Batch
 from ..networks.network import Network, known_extras
@@ -105,7 +105,7 @@ class TrainingLoop:
         Raises Stopped, FactoryError where the loss becomes no number, and what the calls raise.
         """
         steps = self.settings.steps
-        self.bar = progress_bar(total=steps, initial=self.step, unit="step", desc=self.label)
+        self.bar = Bar(total=steps, initial=self.step, unit="step", desc=self.label)
         with self._noting_signals(), closing(self.bar):
             while len(self.rows) * self.settings.check_every < steps:
                 self._steps(batches, len(self.rows))

@@ -180,9 +180,7 @@ class Training:
             facts = {**self._recipe, LEARNED_FROM: self._learned_from, "validation": row}
             save_weights(self._out / WEIGHTS_NAME, loop.average, self._settings.model, facts)
         _write_metrics(self._out / "metrics.csv", rows)
-        loop.bar.set_postfix_str(
-            f"loss {loss:.4f}, psnr {row['psnr']:.2f} ({row['gain_db']:+.2f} dB)"
-        )
+        loop.bar.set_postfix(f"loss {loss:.4f}, psnr {row['psnr']:.2f} ({row['gain_db']:+.2f} dB)")
         return row
 
 

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
 
 from ...common.errors import FactoryError
 from ...common.files import write_atomically
-from ...common.progress import Lines, RunProgress, clock, terminal_bars
+from ...common.progress import Lines, RunProgress, clock, draw_line
 from ...dataset.folder import STATUS_NAME
 from .plan import DatasetJob
-
-if TYPE_CHECKING:
-    from tqdm import tqdm
 
 _EVERY_S = 1.0
 # What a pair costs, in frames that are rendered.
 _PAIR_SHARE = 0.1
+_BAR_WIDTH = 20
 
 
 class ProgressBar:
@@ -49,12 +45,9 @@ class ProgressBar:
         self._lines = Lines()
         self._shown = ""
         self._reporter = job.reporter
-        self._bar: tqdm[Any] | None = None
-        if self._reporter.progress is None and sys.stderr.isatty():
-            # A terminal that does not tell its size would get an empty line.
-            columns, rows = shutil.get_terminal_size()
-            form = "{percentage:3.0f}%|{bar:20}| {desc}"
-            self._bar = terminal_bars()(total=1.0, bar_format=form, ncols=columns, nrows=rows)
+        self._drawn_share = 0.0
+        self._is_drawn = self._reporter.progress is None and sys.stderr.isatty()
+        if self._is_drawn:
             self._draw()
 
     def show(self, shards: Sequence[tuple[object, int, int]]) -> None:
@@ -72,8 +65,8 @@ class ProgressBar:
     def close(self, state: str) -> None:
         """The end: state is finished, stopped or broken."""
         self._draw(last=True)
-        if self._bar is not None:
-            self._bar.close()
+        if self._is_drawn:
+            print(file=sys.stderr)
         self._write(state)
 
     def _prepared(self) -> int:
@@ -97,9 +90,10 @@ class ProgressBar:
             f", {clock(elapsed_s / share - elapsed_s)} left" if 0 < share < 1 and not last else ""
         )
         text = f"{counts}; {clock(elapsed_s)} elapsed{left}"
-        if self._bar is not None:
-            self._bar.n = max(self._bar.n, share)  # work that is lost does not show
-            self._bar.set_description_str(text)
+        if self._is_drawn:
+            self._drawn_share = max(self._drawn_share, share)  # work that is lost does not show
+            full = "#" * round(self._drawn_share * _BAR_WIDTH)
+            draw_line(f"{self._drawn_share:4.0%} |{full:{_BAR_WIDTH}}| {text}")
             return
         begun = self._prepared() or self._pairs > self._first or self._failed
         if begun and counts != self._shown and (last or self._lines.due()):

@@ -335,13 +335,13 @@ def test_a_run_counts_frames_and_pairs_from_the_first_one_on(tmp_path, capfd):
 
 
 def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):
-    with progress.progress_bar(total=5000, unit="step", desc="training") as bar:
+    with progress.Bar(total=5000, unit="step", desc="training") as bar:
         for step in range(5000):
-            bar.set_postfix(loss=f"{step / 3:.3g}")
+            bar.set_postfix(f"loss={step / 3:.3g}")
             bar.update()
     text = capfd.readouterr().err
     assert "\r" not in text
     lines = text.splitlines()
     assert len(lines) <= 3
-    assert lines[-1].startswith("training: 5000 of 5000 steps in 00:")
+    assert lines[-1].startswith("training: 5000 of 5000 steps in 0:")
     assert lines[-1].endswith(", loss=1.67e+03")
