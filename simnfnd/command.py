@@ -18,6 +18,7 @@ from .factory.common.command_line import guard
 from .factory.common.errors import FactoryError
 from .factory.common.extras import EXTRAS, Need, install_command, require
 from .factory.simulation.config.hydra_loader import config_folders, take_config_folders
+from .factory.simulation.config.key_help import key_help
 from .verbs import VERBS, Verb
 
 _HELP = ("-h", "--help")
@@ -49,7 +50,10 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         name, verb, rest = find(others)
         if any(word in _HELP for word in rest):
             print(f"{head(name, verb)}\n", flush=True)
-            if not verb.hydra and not all(map(find_spec, verb.needs)):
+            if verb.config:
+                with config_folders(folders):
+                    return _print(key_help(verb.config, name))
+            if not all(map(find_spec, verb.needs)):
                 return _print("Its options are listed once that is installed.")
         elif not any(word.split("=")[0] in _SHOW for word in rest):
             require(Need(f"simnfnd {name}", module) for module in verb.needs)
@@ -129,7 +133,7 @@ def head(name: str, verb: Verb) -> str:
     if sub_verbs:
         lines += ["", "Verbs of its own:"]
         lines += [f"  {key:<17} {sub_verb.line}" for key, sub_verb in sub_verbs.items()]
-    if verb.hydra and (of_extensions := extensions.listed()):
+    if verb.config and (of_extensions := extensions.listed()):
         lines += ["", *of_extensions]
     if verb.needs:
         lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]

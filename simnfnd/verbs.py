@@ -15,7 +15,7 @@ class Verb(NamedTuple):
     target: "module:function"; the function gets the other words and may return an exit code.
     examples: commands that `simnfnd VERB --help` begins with.
     needs: modules without which it can do nothing, each of an extra (`common.extras`).
-    hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
+    config: name of the root configuration whose keys its words set, KEY=VALUE; "": it has options.
     """
 
     group: str
@@ -23,7 +23,7 @@ class Verb(NamedTuple):
     target: str
     examples: tuple[str, ...]
     needs: tuple[str, ...] = ()
-    hydra: bool = False
+    config: str = ""
 
 
 MAKE = "Make datasets"
@@ -42,7 +42,7 @@ VERBS: dict[str, Verb] = {
         MAKE, "make two small datasets, with the paper's points and by the sonar equation",
         f"{_COMMANDS}.make:demo",
         ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
-        hydra=True,
+        config="factory",
     ),
     "make": Verb(
         MAKE, "make a dataset from a configuration; -m makes a sweep", f"{_COMMANDS}.make:main",
@@ -53,7 +53,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3",
             "simnfnd make experiment=demo --cfg job",
         ),
-        hydra=True,
+        config="factory",
     ),
     "plan": Verb(
         MAKE, "estimate what `make` would make, and its disk, memory and time",
@@ -125,7 +125,7 @@ VERBS: dict[str, Verb] = {
     "train": Verb(
         DENOISE, "train a denoiser on a dataset", "simnfnd.models.training:main",
         ("simnfnd train dataset=outputs/demo model=sonarnet train.steps=200 name=small",),
-        needs=_TORCH, hydra=True,
+        needs=_TORCH, config="models",
     ),
     "denoise": Verb(
         DENOISE, "denoise images, videos, datasets, recordings of sonars and bags",
@@ -169,13 +169,13 @@ VERBS: dict[str, Verb] = {
             "models=[outputs/models/sonarnet]",
             "simnfnd evaluate dataset=outputs/demo \"pictures=[{name: mine, dir: outputs/mine}]\"",
         ),
-        needs=("pandas", "skimage", *_SONAR), hydra=True,
+        needs=("pandas", "skimage", *_SONAR), config="evaluation",
     ),
     "evaluate tune": Verb(
         JUDGE, "find the best parameters of the classical filters",
         "simnfnd.evaluation.commands:tune",
         ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
-        needs=("torch", "skimage", *_SONAR), hydra=True,
+        needs=("torch", "skimage", *_SONAR), config="evaluation",
     ),
     "evaluate paper": Verb(
         JUDGE, "reproduce the paper's Tables 2 and 3: dataset, trainings and report",
@@ -195,14 +195,14 @@ VERBS: dict[str, Verb] = {
         JUDGE, "judge methods on real images and recordings",
         "simnfnd.evaluation.commands:real",
         ("simnfnd evaluate real mdd models=[simnfnd]",),
-        needs=("skimage", *_SONAR), hydra=True,
+        needs=("skimage", *_SONAR), config="real",
     ),
     "evaluate detect": Verb(
         JUDGE, "measure what denoising leaves of moving targets inserted into recordings",
         "simnfnd.evaluation.commands:detect",
         ("simnfnd evaluate detect dive.avi", "simnfnd evaluate detect dive.avi frames=[7] "
          "models=[simnfnd,own.safetensors] contrasts=[1,2]"),
-        needs=("pandas", "skimage", *_SONAR), hydra=True,
+        needs=("pandas", "skimage", *_SONAR), config="detect",
     ),
     "evaluate transfer": Verb(
         JUDGE, "measure what a detector that learned from a dataset finds in real images",
@@ -210,13 +210,13 @@ VERBS: dict[str, Verb] = {
         ("simnfnd evaluate transfer outputs/objects tank ignore=[Wall]",
          "simnfnd evaluate transfer outputs/objects tank --quick",
          "simnfnd evaluate transfer tank detector=simnfnd \"class_names={Tyre: Tire}\""),
-        needs=("pandas", "pycocotools", *_TORCH), hydra=True,
+        needs=("pandas", "pycocotools", *_TORCH), config="transfer",
     ),
     "evaluate realism": Verb(
         JUDGE, "measure how close datasets come to real images",
         "simnfnd.evaluation.commands:realism",
         ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
-        needs=("skimage", *_SONAR), hydra=True,
+        needs=("skimage", *_SONAR), config="realism",
     ),
     "evaluate fit": Verb(
         JUDGE, "search the noise parameters that come closest to real images",
@@ -224,6 +224,6 @@ VERBS: dict[str, Verb] = {
         ("simnfnd evaluate fit mdd name=mine trials=100",
          "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
          "scenes.root=views.pack"),
-        needs=("optuna", "skimage", *_SONAR), hydra=True,
+        needs=("optuna", "skimage", *_SONAR), config="fit",
     ),
 }  # fmt: skip

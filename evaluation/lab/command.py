@@ -11,7 +11,7 @@ from typing import NamedTuple
 from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.manifest import MANIFEST_NAME
-from ...factory.simulation.config.choices import choices_of
+from ...factory.simulation.config.key_help import choices_of
 from ..viewer.page_server import add_page_options
 from .server import LabServer
 from .session import Session

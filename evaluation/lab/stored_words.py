@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...factory.common.distribution import FORMS
-from ...factory.simulation.config.choices import choices_of
 from ...factory.simulation.config.compose import compose
 from ...factory.simulation.config.key_effects import reason_without_effect
+from ...factory.simulation.config.key_help import choices_of
 from ...factory.simulation.config.named_keys import named_keys
 from ...factory.simulation.config.root import plain
 from ...factory.simulation.config.stored import stored_config

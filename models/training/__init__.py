@@ -12,14 +12,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from ...factory.common.settings import build
 from ...factory.simulation.config.application import run_app
-from ...factory.simulation.config.hydra_loader import help_word
 from .. import WEIGHTS_NAME
 
 
 def main(words: Sequence[str]) -> int:
     """Train as the configuration says; returns the exit code."""
-    if {"--help", "-h"} & set(words):
-        words = [help_word("train", ("data", "model", "loss")), *words]
     from ..settings import ModelsSettings
 
     return run_app(run, "models", words, ModelsSettings)

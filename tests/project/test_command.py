@@ -41,7 +41,7 @@ def test_every_verb_is_listed_and_explains_itself(name: str, monkeypatch, capsys
     assert run(monkeypatch, *name.split(), "--help") == 0
     printed = capsys.readouterr().out
     assert printed.startswith(f"simnfnd {name}: {verb.line}\n\nExamples:\n  simnfnd ")
-    parts = ("configuration groups", "settings (key=value)") if verb.hydra else ("usage: simnfnd",)
+    parts = ("keys (key=value)",) if verb.config else ("usage: simnfnd",)
     assert any(part in printed.lower() for part in parts)
 
 
@@ -218,7 +218,7 @@ def said(line, code, part=""):
         print(f"simnfnd {line}: exit code {found}, {text}")
     return text
 
-for name in (name for name, verb in VERBS.items() if not verb.hydra):
+for name in (name for name, verb in VERBS.items() if not verb.config):
     said(f"{name} --help", 0)
 small = "scenes.locations=2 scenes.frames_per_location=1 scenes.width=242 scenes.height=152"
 made = f"render=analytic experiment=demo {small} scheduler=serial cache.dir=cache dataset.dir=made"

@@ -12,17 +12,13 @@ from pathlib import Path
 from ...common.extras import install_command
 from ...common.workers import template
 from ...simulation.config.application import run_app
-from ...simulation.config.hydra_loader import config_folder_words, help_word
+from ...simulation.config.hydra_loader import config_folder_words
 from ..cli import PRELOADED
 
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
 # Words that say nothing of the profile: with others, one dataset is what was asked for.
 _OF_BOTH = ("render", "scenes.", "frames.", "scheduler", "seed=", "cache.", "dataset.dir=")
 _FOLDER = "dataset.dir="
-_GROUPS = (
-    *("scenes", "scenes/objects", "render", "noise", "resample", "sonar", "acoustics", "devices"),
-    *("water", "dataset", "cache", "scheduler", "experiment"),
-)
 
 
 def main(words: Sequence[str]) -> int:
@@ -31,8 +27,6 @@ def main(words: Sequence[str]) -> int:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
 
-    if {"--help", "-h"} & set(words):
-        words = [help_word("make", _GROUPS), *words]
     if _makes_here(words):
         # Now, so that it loads beside what this process has to load.
         template.start(PRELOADED)

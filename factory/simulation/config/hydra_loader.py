@@ -111,33 +111,6 @@ def _store_readers() -> None:
             ConfigStore.instance().store(name=kind, group="scenes", node=default_values(kind))
 
 
-def help_word(command: str, groups: Sequence[str]) -> str:
-    """The word that makes Hydra's help list the choices of these groups alone, and all keys.
-
-    command: such as `make`; experiments of other commands are left out.
-    """
-    with _lock:
-        register_search_path()
-        loader = hydra_loader(_CONFIG_MODULE)
-        choices = {group: loader.get_group_options(group) for group in groups}
-    if "experiment" in choices:
-        of_others = _experiments_of_others(command)
-        choices["experiment"] = [name for name in choices["experiment"] if name not in of_others]
-    listed = [f"{group}: {', '.join(names)}" for group, names in choices.items()]
-    lines = ["== Configuration groups (GROUP=NAME) ==", *listed]
-    template = "\n".join([*lines, "", "== Keys (KEY=VALUE) ==", "$CONFIG"])
-    return f"hydra.help.template='{template}'"
-
-
-def _experiments_of_others(command: str) -> set[str]:
-    """The experiments that ship whose first comment, the command that runs them, is another's."""
-    from importlib.resources import files
-
-    folder = files("simnfnd.conf").joinpath("experiment")
-    texts = {Path(file.name).stem: file.read_text(encoding="utf-8") for file in folder.iterdir()}
-    return {name for name, text in texts.items() if f"\n# simnfnd {command} " not in text[:200]}
-
-
 def load(config_name: str, overrides: Sequence[str]) -> DictConfig:
     """The composed root configuration, its node `hydra` included; struct flags are set.
 
