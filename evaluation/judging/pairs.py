@@ -61,6 +61,11 @@ class JudgedPair(ImageSubject):
         """What shares one clean image: the unit of the bootstrap."""
         return f"{self.location}/{self.scene}/{self.frame}"
 
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return f"{self.scene} {self.frame}" + (f" #{self.variant}" if self.variant else "")
+
     def noisy_image(self) -> Grey:
         """The noisy image (H, W)."""
         return pair_images(self.place).noisy
@@ -68,6 +73,10 @@ class JudgedPair(ImageSubject):
     def geometry(self) -> FanGeometry | None:
         """Where range and bearing are, as the dataset says."""
         return geometry_of(self.place)
+
+    def read(self) -> tuple[Grey, FanGeometry | None]:
+        """The noisy image and its geometry."""
+        return self.noisy_image(), self.geometry()
 
     def denoise(self, method: Method, device: str) -> Denoised:
         """See `Subject`; another program's image is read."""

@@ -12,8 +12,8 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -100,25 +100,22 @@ class Denoised(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JudgingTask:
-    """Some methods on some images, by their numbers; the unit that travels to a worker.
+    """Methods that differ in their levels alone on some images; the unit that travels to a worker.
 
-    keep: numbers of the images whose denoised images come back.  again: a worker died with it.
+    keep: numbers of the images whose denoised images come back.
     """
 
     methods: tuple[Method, ...]
     subjects: Mapping[int, Subject]
     device: str
     keep: frozenset[int] = frozenset()
-    again: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class MethodResult:
-    """What a method gave: figures and images by number of the image, or why it failed."""
+class MethodResult(NamedTuple):
+    """What a method gave: figures and images by number of the image."""
 
-    figures: dict[int, Figures] = field(default_factory=dict)
-    images: dict[int, Grey] = field(default_factory=dict)
-    lost: str | None = None
+    figures: dict[int, Figures]
+    images: dict[int, Grey]
 
 
 @dataclass(eq=False)
@@ -132,15 +129,6 @@ class Measured:
     figures: dict[str, dict[int, Figures]] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     images: dict[tuple[str, int], Grey] = field(default_factory=dict)
-
-    def add(self, label: str, result: MethodResult) -> None:
-        """Take in what a method gave; once a method has failed, nothing of it counts."""
-        if result.lost is not None:
-            self.lost.setdefault(label, result.lost)
-        if label in self.lost:
-            return
-        self.figures[label] |= result.figures
-        self.images |= {(label, number): image for number, image in result.images.items()}
 
     def table(self) -> pd.DataFrame:
         """A row for each method and image, in order: method, number of the image, figures."""
@@ -191,15 +179,16 @@ def run(
     keep: whether the denoised images of an image come back.
     tick: called with the number of results that are in.
 
-    A method that fails on an image, or whose worker dies twice, loses its row.  Raises
+    A method that fails on an image, or whose worker dies, loses its row.  Raises
     FactoryError for an image that cannot be read.
     """
     measured = Measured({method.label: {} for method in methods})
+    forms: dict[str, list[Method]] = {}
+    for method in methods:
+        forms.setdefault(method.output, []).append(method)
 
     def limit_s(task: JudgingTask) -> float:
-        images = sum(subject.images for subject in task.subjects.values())
-        runs = images * len({method.output for method in task.methods})
-        return timeout_s * runs
+        return timeout_s * sum(subject.images for subject in task.subjects.values())
 
     for batch in batches:
         images = list(batch.items())
@@ -207,75 +196,42 @@ def run(
         for first in range(0, len(images), chunk):
             subjects = dict(images[first : first + chunk])
             kept = frozenset(filter(keep, subjects))
-            waiting.append(JudgingTask(tuple(methods), subjects, device, kept))
-        # Changed while the pool takes tasks from it: tasks come back, methods are lost.
-        _leave_out_lost(waiting, measured.lost)
+            for alike in forms.values():
+                if alike[0].label not in measured.lost:
+                    waiting.append(JudgingTask(tuple(alike), subjects, device, kept))
         for task, results in pool.run(measure_task, waiting, limit_s):
-            if isinstance(results, TaskLost):
-                if retries := _retries(task):
-                    waiting.extendleft(retries)
-                    continue
-                results = [MethodResult(lost=results.reason)] * len(task.methods)
-            for method, result in zip(task.methods, results, strict=True):
-                tick(len(task.subjects))
-                measured.add(method.label, result)
-            _leave_out_lost(waiting, measured.lost)
+            tick(len(task.subjects) * len(task.methods))
+            labels = [method.label for method in task.methods]
+            if isinstance(results, TaskLost | str):
+                loss = results if isinstance(results, str) else results.reason
+                measured.lost |= dict.fromkeys(labels, loss)
+                # The pool takes tasks from the queue meanwhile.
+                for other in [other for other in waiting if other.methods == task.methods]:
+                    waiting.remove(other)
+                continue
+            for label, result in zip(labels, results, strict=True):
+                measured.figures[label] |= result.figures
+                measured.images |= {(label, n): image for n, image in result.images.items()}
+    for label in measured.lost:
+        measured.figures[label].clear()
     return measured
 
 
-def _leave_out_lost(waiting: deque[JudgingTask], lost: Collection[str]) -> None:
-    """Take methods that have lost their row from the waiting tasks, in place."""
-    if not lost:
-        return
-    tasks = [
-        replace(task, methods=tuple(method for method in task.methods if method.label not in lost))
-        for task in waiting
-    ]
-    waiting.clear()
-    waiting.extend(task for task in tasks if task.methods)
-
-
-def _retries(task: JudgingTask) -> list[JudgingTask]:
-    """What to try once more after a worker died with this task: each method alone."""
-    if task.again:
-        return []
-    outputs = dict.fromkeys(method.output for method in task.methods)
-    apart = [tuple(m for m in task.methods if m.output == output) for output in outputs]
-    return [replace(task, methods=methods, again=True) for methods in apart]
-
-
-def measure_task(task: JudgingTask) -> list[MethodResult]:
-    """Run the methods and measure what they give; a result for each, in their order.
+def measure_task(task: JudgingTask) -> list[MethodResult] | str:
+    """Run methods and measure what they give, in their order; or why they failed.
 
     Raises FactoryError for a damaged image.
     """
-    results = []
-    outputs: dict[str, dict[int, Denoised] | str] = {}
-    for method in task.methods:
-        if method.output not in outputs:
-            outputs[method.output] = _applied(method, task)
-        output = outputs[method.output]
-        if isinstance(output, str):
-            results.append(MethodResult(lost=output))
-            continue
-        result = MethodResult()
-        for number, (image, seconds) in output.items():
-            if method.levels is not None:
-                image = method.levels(image)
-            result.figures[number] = {**task.subjects[number].measure(image), SECONDS: seconds}
-            if number in task.keep:
-                result.images[number] = image
-        results.append(result)
-    return results
-
-
-def _applied(method: Method, task: JudgingTask) -> dict[int, Denoised] | str:
-    """What the method makes of each subject, without levels; or why it failed."""
-    results = {}
+    results = [MethodResult({}, {}) for _ in task.methods]
     for number, subject in task.subjects.items():
         subject.load()
         try:
-            results[number] = subject.denoise(method, task.device)
+            denoised = subject.denoise(task.methods[0], task.device)
         except Exception as error:  # a method that crashes loses its row, not the report
             return reason(error)
+        for method, result in zip(task.methods, results, strict=True):
+            image = denoised.image if method.levels is None else method.levels(denoised.image)
+            result.figures[number] = {**subject.measure(image), SECONDS: denoised.seconds}
+            if number in task.keep:
+                result.images[number] = image
     return results

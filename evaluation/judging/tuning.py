@@ -4,8 +4,7 @@ A line search changes one parameter after the other along its grid, then by half
 
 `simnfnd evaluate tune` works on validation pairs: those scenes of the train split that training,
 too, holds out.  The test split is never read.  `simnfnd evaluate real` works on frames with
-references, on the middle of each, half as high and half as wide; the best points are compared on
-whole frames.
+references.
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ import json
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -29,29 +29,24 @@ from ...factory.common.small_files import read_regular
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ..filters import REGISTRY, Baseline, Parameters, method_of
 from ..metrics.fidelity import finite_psnr, psnr
-from ..metrics.measure import Grey, Levels, fit_levels
+from ..metrics.measure import Grey, Levels, fit_levels, with_levels
 from .methods import reason, shown
 from .pairs import JudgedPair, items_of, pair_images
 from .settings import EvaluationSettings
 
 SCHEMA = "simnfnd-tuned/1"
 
-_SLOW = ("bm3d",)  # filters that are tuned on fewer frames
-_SLOWER = 4  # of which they see one in this many
-_BEST = 2  # points that are compared on whole frames
-_LEAST_SIDE = 96  # pixels of the middle of a frame
-
 
 @dataclass(frozen=True, eq=False)
 class TuningImage:
     """An image to tune on.
 
-    noisy, reference: (H, W) in 0..1.  mask: (H, W) bool, what counts; None: all.
+    noisy, reference: (H, W) in 0..1.  mask: (H, W) bool, what counts.
     """
 
     noisy: Grey
     reference: Grey
-    mask: Bools | None = None
+    mask: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,21 +77,18 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
     items = validation_items(settings)
     path = settings.tuned_file
     known = load_tuned(path)
-    lost: dict[str, str] = {}
     keys = {baseline.name: _key(baseline, items) for baseline in baselines}
     pairs = [pair_images(item.place) for item in items]
-    samples = tuple(TuningImage(pair.noisy, pair.clean) for pair in pairs)
+    samples = tuple(
+        TuningImage(pair.noisy, pair.clean, np.ones(pair.clean.shape, bool)) for pair in pairs
+    )
     tasks = [
         TuningTask(name, samples)
         for name, key in keys.items()
         if known.get(name, {}).get("key") != key
     ]
-
-    def limit_s(task: TuningTask) -> float:
-        points = len(method_of(task.baseline).points()) + 1
-        return settings.image_timeout_s * len(items) * points
-
-    for task, outcome in run_tasks(on_pairs, tasks, pool, limit_s):
+    lost: dict[str, str] = {}
+    for task, outcome in run_tasks(on_pairs, tasks, pool, settings.image_timeout_s):
         if isinstance(outcome, str):
             lost[task.baseline] = outcome
         else:
@@ -109,11 +101,16 @@ def run_tasks(
     function: Callable[[TuningTask], dict[str, Any] | str],
     tasks: Sequence[TuningTask],
     pool: TaskPool,
-    limit_s: Callable[[TuningTask], float],
+    image_timeout_s: float,
 ) -> Iterator[tuple[TuningTask, dict[str, Any] | str]]:
     """Each task with what `function` found, or why it failed, as they are done."""
     if not tasks:
         return
+
+    def limit_s(task: TuningTask) -> float:
+        points = len(method_of(task.baseline).points()) + 1
+        return image_timeout_s * len(task.samples) * points
+
     with Bar(total=len(tasks), unit="filter", desc="tuning") as bar:
         for task, outcome in pool.run(function, deque(tasks), limit_s):
             bar.update()
@@ -123,19 +120,18 @@ def run_tasks(
 def on_pairs(task: TuningTask) -> dict[str, Any] | str:
     """The default, the best, and the best after levels, as in the file; or why not."""
     baseline = method_of(task.baseline)
-    known = dict[tuple[float, ...], Point]()
 
-    def measured(point: Parameters) -> Point:
-        key = tuple(point.values())
-        if key not in known:
-            known[key] = _measured(baseline, point, task.samples)
-        return known[key]
+    @cache
+    def measured(*values: float) -> Point:
+        return _measured(baseline, dict(zip(baseline.default, values, strict=True)), task.samples)
 
     try:
-        plain, *_ = line_search(baseline, lambda point: measured(point).psnr)
-        fitted, *_ = line_search(baseline, lambda point: measured(point).psnr_levels)
-        best = {"default": dict(baseline.default), "tuned": plain, "tuned_levels": fitted}
-        return {name: asdict(measured(point)) for name, point in best.items()}
+        best = {
+            "default": dict(baseline.default),
+            "tuned": line_search(baseline, lambda *values: measured(*values).psnr),
+            "tuned_levels": line_search(baseline, lambda *values: measured(*values).psnr_levels),
+        }
+        return {name: asdict(measured(*point.values())) for name, point in best.items()}
     except Exception as error:  # a method's own defect must not take the others along
         return reason(error)
 
@@ -143,13 +139,27 @@ def on_pairs(task: TuningTask) -> dict[str, Any] | str:
 def on_frames(task: TuningTask) -> Parameters | str:
     """The best parameters after one gain and offset an image; or why not."""
     baseline = method_of(task.baseline)
+
+    @cache
+    def score(*values: float) -> float:
+        point = dict(zip(baseline.default, values, strict=True))
+        images = [
+            with_levels(baseline(sample.noisy, point), sample.reference, sample.mask)
+            for sample in task.samples
+        ]
+        return _mean_psnr(images, task.samples)
+
     try:
-        frames = task.samples[:: _SLOWER if baseline.name in _SLOW else 1]
-        middles = tuple(_middle(frame) for frame in frames)
-        points = line_search(baseline, lambda point: _score(baseline, point, middles))
-        return max(points[:_BEST], key=lambda point: _score(baseline, point, frames))
+        return line_search(baseline, score)
     except Exception as error:  # as above
         return reason(error)
+
+
+def _measured(baseline: Baseline, point: Parameters, samples: Sequence[TuningImage]) -> Point:
+    images = [baseline(sample.noisy, point) for sample in samples]
+    levels = fit_levels((i, s.reference) for i, s in zip(images, samples, strict=True))
+    psnr_levels = _mean_psnr([levels(image) for image in images], samples)
+    return Point(point, _mean_psnr(images, samples), psnr_levels, levels)
 
 
 def _mean_psnr(images: Sequence[Grey], samples: Sequence[TuningImage]) -> float:
@@ -157,37 +167,6 @@ def _mean_psnr(images: Sequence[Grey], samples: Sequence[TuningImage]) -> float:
         finite_psnr(psnr(sample.reference, image, data_range=1.0, mask=sample.mask))
         for image, sample in zip(images, samples, strict=True)
     ]))  # fmt: skip
-
-
-def _measured(baseline: Baseline, point: Parameters, samples: Sequence[TuningImage]) -> Point:
-    images = [baseline(sample.noisy, point) for sample in samples]
-    levels = fit_levels((i, s.reference) for i, s in zip(images, samples, strict=True))
-    corrected = [levels(image) for image in images]
-    return Point(point, _mean_psnr(images, samples), _mean_psnr(corrected, samples), levels)
-
-
-def _score(baseline: Baseline, point: Parameters, samples: Sequence[TuningImage]) -> float:
-    images = [baseline(sample.noisy, point) for sample in samples]
-    fitted = [
-        fit_levels([(image[sample.mask], sample.reference[sample.mask])])(image)
-        for image, sample in zip(images, samples, strict=True)
-    ]
-    return _mean_psnr(fitted, samples)
-
-
-def _middle(frame: TuningImage) -> TuningImage:
-    """The middle of what is judged of a frame, half as high and half as wide."""
-    cut = []
-    assert frame.mask is not None
-    for places, size in zip(np.nonzero(frame.mask), frame.mask.shape, strict=True):
-        side = min(max(size // 2, _LEAST_SIDE), size)
-        first = min(max(int(places.mean()) - side // 2, 0), size - side)
-        cut.append(slice(first, first + side))
-    part = tuple(cut)
-    if not frame.mask[part].any():
-        return frame
-    planes = {n: np.ascontiguousarray(getattr(frame, n)[part]) for n in ("noisy", "reference")}
-    return replace(frame, **planes, mask=np.ascontiguousarray(frame.mask[part]))
 
 
 def validation_items(settings: EvaluationSettings) -> list[JudgedPair]:
@@ -261,69 +240,46 @@ _ROUNDS = 2
 _LEAST = 1e-3  # of the score; less is no gain
 
 
-def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> list[Parameters]:
-    """The points that were tried, the best first.  measured: the score of one, high is good."""
-    known: dict[tuple[float, ...], tuple[float, Parameters]] = {}
-
-    def value(point: Parameters) -> float:
-        key = tuple(point.values())
-        if key not in known:
-            known[key] = measured(point), point
-        return known[key][0]
-
+def line_search(baseline: Baseline, score: Callable[..., float]) -> Parameters:
+    """The best point.  score: of parameters in the order of the defaults, high is good; cached."""
     best = dict(baseline.default)
-    value(best)
     for turn in range(_ROUNDS):
         before = best
         for name, axis in baseline.grid.items():
-            best = _along(best, name, axis, value)
+            above = [value for value in axis if value > best[name]]
+            below = [value for value in reversed(axis) if value < best[name]]
+            start = best
+            for outwards in (above, below):
+                best = _along(start, best, name, outwards, score)
         if best == before or (turn == 0 and len(baseline.grid) == 1):
             break
     for name, axis in baseline.grid.items():
-        best = _finer(best, name, axis, value)
-    # Among equal points the first one counts, which is nearer to the default.
-    tried = sorted(
-        known.values(), key=lambda point_score: (point_score[1] != best, -point_score[0])
-    )
-    return [point for _, point in tried]
-
-
-def _along(
-    start: Parameters, name: str, axis: Sequence[float], value: Callable[[Parameters], float]
-) -> Parameters:
-    """The best value of one parameter, from the present one outwards until two falls."""
-    best = start
-    top = value(start)
-    above = [step_value for step_value in axis if step_value > start[name]]
-    below = [step_value for step_value in reversed(axis) if step_value < start[name]]
-    for outwards in (above, below):
-        last = value(start)
-        falls = 0
-        for step_value in outwards:
-            point = {**start, name: step_value}
-            now = value(point)
-            if now > top + _LEAST:
-                best = point
-                top = now
-            falls = falls + 1 if now < last else 0
-            last = now
-            if falls == 2:
-                break
+        # Half way, in ratio, to the neighbours on the grid.
+        if all(isinstance(value, float) for value in axis) and best[name] in axis:
+            place = axis.index(best[name])
+            neighbours = (*axis[max(place - 1, 0) : place], *axis[place + 1 : place + 2])
+            halves = [float(f"{math.sqrt(best[name] * value):.3g}") for value in neighbours]
+            best = _along(best, best, name, halves, score)
     return best
 
 
-def _finer(
-    start: Parameters, name: str, axis: Sequence[float], value: Callable[[Parameters], float]
+def _along(
+    start: Parameters,
+    best: Parameters,
+    name: str,
+    values: Sequence[float],
+    score: Callable[..., float],
 ) -> Parameters:
-    """The best of the present value and those half way, in ratio, to its neighbours on the grid."""
-    if not all(isinstance(step_value, float) for step_value in axis) or start[name] not in axis:
-        return start
-    place = axis.index(start[name])
-    best = start
-    top = value(start)
-    for neighbour in (*axis[max(place - 1, 0) : place], *axis[place + 1 : place + 2]):
-        point = {**start, name: float(f"{math.sqrt(start[name] * neighbour):.3g}")}
-        if (now := value(point)) > top + _LEAST:
+    """The best of a point and of `start` with values of one parameter, until two fall in a row."""
+    last = score(*start.values())
+    falls = 0
+    for value in values:
+        point = {**start, name: value}
+        now = score(*point.values())
+        if now > score(*best.values()) + _LEAST:
             best = point
-            top = now
+        falls = falls + 1 if now < last else 0
+        last = now
+        if falls == 2:
+            break
     return best

@@ -120,6 +120,11 @@ def fit_levels(pairs: Iterable[tuple[Floats, Floats]]) -> Levels:
     return Levels(float(gain), float(mean_y - gain * mean_x))
 
 
+def with_levels(image: Grey, reference: Grey, mask: Bools) -> Grey:
+    """The image with the gain and offset that bring it closest to the reference in the mask."""
+    return fit_levels([(image[mask], reference[mask])])(image)
+
+
 class MeasuredPair:
     """A pair, checked, and what the metrics of all methods on it share."""
 
@@ -211,7 +216,7 @@ def likeness(image: Grey, reference: Grey, mask: Bools, *, levels: bool = True) 
     levels: whether one gain and offset is fitted first.
     """
     if levels:
-        image = fit_levels([(image[mask], reference[mask])])(image)
+        image = with_levels(image, reference, mask)
     return {
         "psnr": metrics.finite_psnr(metrics.psnr(reference, image, data_range=1.0, mask=mask)),
         "ssim": metrics.ssim(reference, image, data_range=1.0, mask=mask),

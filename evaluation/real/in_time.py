@@ -188,7 +188,11 @@ def judged_in_time(
         static_input(_frames(group, settings.in_time), group.mask, number)
         for number, group in enumerate(recordings)
     ]
-    parameters, notes = _tuned(recordings, statics)
+    parameters = tuple(map(_tuned, statics))
+    notes = [
+        f"{group.name}: TV of means is tuned on the first half of the frames{shown(point)}"
+        for group, point in zip(recordings, parameters, strict=True)
+    ]
     methods = _methods_of(networks, parameters)
     subjects = [kind for static in statics for kind in kinds_of(static)]
     with Bar(total=len(methods) * len(subjects), unit="row", desc="in time") as bar:
@@ -243,33 +247,13 @@ def _methods_of(networks: Sequence[Method], tv: tuple[Parameters, ...]) -> list[
     ]  # fmt: skip
 
 
-def _tuned(
-    recordings: Sequence[Group], statics: Sequence[JudgedInput]
-) -> tuple[tuple[Parameters, ...], list[str]]:
-    """Parameters of the total variation for each recording, tuned on the others; and notes.
-
-    A single recording is tuned on its first half and judged as a whole, which its note states.
-    """
-    parameters = []
-    notes = []
-    for static, group in zip(statics, recordings, strict=True):
-        others = [other for other in statics if other is not static]
-        tuned_on = ", ".join(other.name for other in recordings if other is not group)
-        samples = [
-            sample
-            for other in others
-            for sample in tuning_images(other, MOST_FRAMES // len(others) or 1, FRAMES // 2)
-        ]
-        if not others:
-            half = static.images // 2
-            samples = tuning_images(static, static.images, FRAMES // 2)[:half]
-            tuned_on = f"the first {half} input frames of itself"
-        tuned = on_frames(TuningTask("tv", tuple(samples)))
-        if isinstance(tuned, str):
-            raise FactoryError(f"{group.name}: total variation cannot be tuned: {tuned}")
-        parameters.append(tuned)
-        notes.append(f"{group.name}: tuned TV{shown(tuned)}, tuned on {tuned_on}")
-    return tuple(parameters), notes
+def _tuned(static: JudgedInput) -> Parameters:
+    """Parameters of the total variation of means, tuned on the first half of the input frames."""
+    samples = tuning_images(static, static.images, FRAMES // 2)[: static.images // 2]
+    tuned = on_frames(TuningTask("tv", tuple(evenly(samples, MOST_FRAMES))))
+    if isinstance(tuned, str):
+        raise FactoryError(f"total variation cannot be tuned: {tuned}")
+    return tuned
 
 
 def wide(table: pd.DataFrame, *, resamples: int, seed: int) -> pd.DataFrame:

@@ -150,10 +150,9 @@ def _tune_filters(
         for name in filters
         for fold, samples in sorted(samples_of_fold.items())
     ]
-    longest_s = settings.image_timeout_s * max(map(len, samples_of_fold.values()))
     points: dict[tuple[str, int], dict[str, Any]] = {}
     lost: dict[str, str] = {}
-    for task, tuned in tuning.run_tasks(tuning.on_frames, tasks, pool, lambda _: longest_s):
+    for task, tuned in tuning.run_tasks(tuning.on_frames, tasks, pool, settings.image_timeout_s):
         if isinstance(tuned, str):
             lost.setdefault(f"{task.baseline} {TUNED}", f"tuning: {tuned}")
         else:
@@ -179,8 +178,7 @@ def _measure(
 
     lost: label -> why a method cannot run.
     """
-    example_count = min(settings.examples, len(shots))
-    shown = set(np.linspace(0, len(shots) - 1, example_count).round().astype(int).tolist())
+    shown = set(evenly(range(len(shots)), settings.examples))
     examples: dict[int, JudgedFrame] = {}
     images = enumerate(_judged_frames(groups, parts, shots))
 

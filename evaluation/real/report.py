@@ -11,7 +11,7 @@ from ..judging.recorded import frame_of, open_input
 from ..judging.runner import SECONDS
 from ..judging.settings import RealSettings
 from ..metrics.measure import METRICS, Metric
-from ..report.document import ComparedImages, Section, publish, write_files
+from ..report.document import ComparedImages, Section, compared, publish, write_files
 from ..report.tables import (
     Content,
     difference_column,
@@ -144,22 +144,14 @@ def _groups(outcome: RealOutcome) -> list[dict[str, Any]]:
 
 def _examples(outcome: RealOutcome) -> list[ComparedImages]:
     """What the rows made of some images."""
-    truth = "mean of the other frames"
-    measured = outcome.measured
     examples = []
     for number, judged in sorted(outcome.examples.items()):
-        name = judged.shot.name
+        title = judged.shot.name
         if judged.group is not None:
-            name = f"{outcome.groups[judged.group].name}: {name}"
-        labels = [
-            label
-            for label in measured.figures
-            if label not in measured.lost and (label, number) in measured.images
-        ]
-        images = {label: measured.images[label, number] for label in labels}
-        if judged.reference is None:
-            examples.append(ComparedImages(name, images))
-            continue
-        psnr_db = {label: measured.figures[label][number]["psnr"] for label in labels}
-        examples.append(ComparedImages(name, {**images, truth: judged.reference}, psnr_db, truth))
+            title = f"{outcome.groups[judged.group].name}: {title}"
+        labels = [row["label"] for row in outcome.rows]
+        truth = judged.reference
+        examples.append(
+            compared(outcome.measured, number, title, labels, "mean of the other frames", truth)
+        )
     return examples

@@ -19,7 +19,7 @@ from ...factory.common.progress import Bar
 from ...factory.common.seeds import stream
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...factory.dataset.reader import Split
-from ..judging.pairs import Place, geometry_of, items_of, pair_images
+from ..judging.pairs import JudgedPair, items_of
 from ..judging.recorded import GEOMETRY_FILE, RecordedImage, open_real
 from ..judging.settings import Grid, RealismSettings
 from ..metrics.features import FEATURES, features_of
@@ -80,15 +80,15 @@ def evaluate(settings: RealismSettings) -> None:
 
 def _examples_of(collections: Mapping[str, Collection], grid: Grid) -> list[ComparedImages]:
     """Polar images of all collections beside each other, far range on top."""
-    sources_by_name = {
-        name: collection.at_most(_EXAMPLES).sources for name, collection in collections.items()
-    }
+    columns = [collection.at_most(_EXAMPLES).sources for collection in collections.values()]
     examples = []
-    for number in range(min(map(len, sources_by_name.values()))):
-        images = {
-            name: sources[number].polar(grid)[::-1] for name, sources in sources_by_name.items()
-        }
-        examples.append(ComparedImages(f"images {number + 1}", images))
+    for number, sources in enumerate(zip(*columns, strict=False), start=1):
+        images = {}
+        for name, source in zip(collections, sources, strict=True):
+            image, geometry = source.read()
+            assert geometry is not None
+            images[name] = to_polar(image, geometry, grid)[::-1]
+        examples.append(ComparedImages(f"images {number}", images))
     return examples
 
 
@@ -121,7 +121,9 @@ def described(collection: Collection, grid: Grid) -> pd.DataFrame:
     rows = []
     with Bar(total=len(collection.sources), unit="image", desc=collection.name) as bar:
         for source in collection.sources:
-            rows.append(features_of(source.polar(grid), source.geometry.range_span_m))
+            image, geometry = source.read()
+            assert geometry is not None
+            rows.append(features_of(to_polar(image, geometry, grid), geometry.range_span_m))
             bar.update()
     return pd.DataFrame(rows)
 
@@ -193,30 +195,19 @@ _LEAST_SECTOR_SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class ReadableImage:
-    """An image that can be read when its turn comes: of a dataset, or a shot."""
-
-    geometry: FanGeometry
-    place: Place | RecordedImage
-
-    def polar(self, grid: Grid) -> Grey:
-        """(range_bins, beams) float32 in 0..1.  Raises FactoryError."""
-        place = self.place
-        image = place.read()[0] if isinstance(place, RecordedImage) else pair_images(place).noisy
-        return to_polar(image, self.geometry, grid)
-
-
-@dataclass(frozen=True)
 class Collection:
-    """Images that belong together.  name: what tables call them.  notes: for the report."""
+    """Images that belong together, each with its geometry.
+
+    name: what tables call them.  notes: for the report.
+    """
 
     name: str
-    sources: tuple[ReadableImage, ...]
+    sources: Sequence[JudgedPair | RecordedImage]
     notes: tuple[str, ...] = ()
 
     def at_most(self, limit: int | None) -> Collection:
         """The collection, of which `limit` evenly spread images are kept where it has more."""
-        return Collection(self.name, tuple(evenly(self.sources, limit)), self.notes)
+        return Collection(self.name, evenly(self.sources, limit), self.notes)
 
 
 def to_polar(image: Array, geometry: FanGeometry, grid: Grid) -> Grey:
@@ -252,26 +243,25 @@ def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[
 def real_images(folder: str | Path) -> Collection:
     """The real images at a path; see `open_real`."""
     shots, notes = open_real(folder)
-    sources = [ReadableImage(shot.known, shot) for shot in shots if shot.known]
-    return Collection(real_path(Path(folder).expanduser()).name, tuple(sources), notes)
+    return Collection(real_path(Path(folder).expanduser()).name, shots, notes)
 
 
 def open_dataset(folder: str | Path, split: Split) -> Collection:
     """The images of a dataset folder.  Raises FactoryError when there are none to compare."""
     root = Path(folder).expanduser()
-    sources: list[ReadableImage] = []
     items = items_of(root, split)
+    sources = []
     for item in items:
-        geometry = geometry_of(item.place)
+        geometry = item.geometry()
         if geometry is None:
             raise FactoryError(f"sim={root}: {item.shard} does not say how its images are laid out")
         first, last = geometry.data_fraction
         if last - first >= _LEAST_SECTOR_SHARE:
-            sources.append(ReadableImage(geometry, item.place))
+            sources.append(item)
     narrow = f"the camera saw less than {_LEAST_SECTOR_SHARE:.0%} of the sector"
     if not sources:
         raise FactoryError(f"sim={root}: {narrow} in every image; use a narrower sonar.hfov_deg")
-    notes = [f"{len(sources)} noisy images of {root.name}, {sources[0].geometry.layout}"]
+    notes = [f"{len(sources)} noisy images of {root.name}"]
     if left := len(items) - len(sources):
         notes.append(f"{left} left out: {narrow}")
-    return Collection(real_path(root).name, tuple(sources), tuple(notes))
+    return Collection(real_path(root).name, sources, tuple(notes))

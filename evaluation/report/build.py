@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, write_atomically
@@ -27,9 +25,10 @@ from ..judging.pairs import (
 from ..judging.runner import SECONDS, Measured, Subject, run
 from ..judging.settings import EvaluationSettings
 from ..metrics.own import refuse_metrics_of_scripts
+from ..metrics.statistics import evenly
 from . import tables
 from .content import best_forms, content_of, shown_rows, verdict
-from .document import ComparedImages, Section, publish
+from .document import ComparedImages, Section, compared, publish
 from .tables import Content
 
 PAGE_NAME = "report.html"
@@ -59,18 +58,20 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
             _tune(settings, baselines, pool)
         tuned = tuning.load_tuned(settings.tuned_file)
         candidates = [NOISY, *methods_of(baselines, tuned), *networks, *external_methods]
-        method_of_label = {method.label: method for method in candidates}
-        methods = list(method_of_label.values())
+        methods = list({method.label: method for method in candidates}.values())
+        shown = set(evenly(range(len(items)), settings.examples))
+        measured = measure(settings, items, methods, pool, keep=shown.__contains__)
 
-        measured = measure(settings, items, methods, pool)
-        content = content_of(methods, measured, items, settings, tuned)
-        content["facts"] |= _image_facts(items[0])
-        write_results(out / RESULTS_NAME, measured, items)
-
-        example_labels = shown_rows(content["rows"], _EXAMPLE_METHODS)
-        example_methods = [method_of_label[label] for label in example_labels]
-        examples = _examples(settings, items, measured, example_methods, pool)
-
+    content = content_of(methods, measured, items, settings, tuned)
+    shape = "x".join(map(str, pair_images(items[0].place).clean.shape))
+    content["facts"] |= {"image": shape, "config_hash": config_hash_of(items[0])}
+    write_results(out / RESULTS_NAME, measured, items)
+    labels = shown_rows(content["rows"], _EXAMPLE_METHODS)
+    examples = [
+        compared(measured, number, items[number].title, labels, "clean",
+                 pair_images(items[number].place).clean)
+        for number in sorted(shown)
+    ]  # fmt: skip
     _write(out, content, examples)
     return content
 
@@ -81,12 +82,6 @@ def _tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Tas
         print(*tuning.tune(settings, baselines, pool), sep="\n")
     except FactoryError as error:
         print(f"not tuned: {error}")
-
-
-def _image_facts(item: JudgedPair) -> dict[str, str | None]:
-    """The size of the images, and the settings that they were made with."""
-    shape = pair_images(item.place).clean.shape
-    return {"image": "x".join(map(str, shape)), "config_hash": config_hash_of(item)}
 
 
 def _write(out: Path, content: Content, examples: Sequence[ComparedImages]) -> None:
@@ -106,9 +101,9 @@ def measure(
     methods: Sequence[Method],
     pool: TaskPool,
     *,
-    keep: bool = False,
+    keep: Callable[[int], bool] = lambda number: False,
 ) -> Measured:
-    """The figures of methods on pairs.  keep: whether the images come back.
+    """The figures of methods on pairs.  keep: whether the images of a pair come back.
 
     Raises FactoryError for a dataset that cannot be read.
     """
@@ -123,7 +118,7 @@ def measure(
             device=settings.device,
             timeout_s=settings.image_timeout_s,
             chunk=_PAIRS_PER_TASK,
-            keep=lambda _: keep,
+            keep=keep,
             tick=bar.update,
         )
 
@@ -175,40 +170,3 @@ def sections_of(content: Content) -> list[Section]:
     sections.append(Section("More metrics", [tables.more_metrics(rows)]))
     sections.append(Section("How it was measured", text=content["facts"]["rules"]))
     return sections
-
-
-def _examples(
-    settings: EvaluationSettings,
-    items: Sequence[JudgedPair],
-    measured: Measured,
-    methods: Sequence[Method],
-    pool: TaskPool,
-) -> list[ComparedImages]:
-    """Pairs from the worst to the best by the PSNR of the noisy image, evenly between."""
-    count = min(settings.examples, len(items))
-    if not count:
-        return []
-    noisy_psnr_db = measured.wide()["psnr"][NOISY.label].to_numpy(float)
-    worst_first = np.argsort(noisy_psnr_db, kind="stable")
-    ranks = np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))
-    example_items = [items[number] for number in worst_first[ranks]]
-    with_images = measure(settings, example_items, methods, pool, keep=True)
-    return [
-        _example(item, number, with_images, methods) for number, item in enumerate(example_items)
-    ]
-
-
-def _example(
-    item: JudgedPair, number: int, measured: Measured, methods: Sequence[Method]
-) -> ComparedImages:
-    """A pair with its denoised images; number: of the pair in `measured`."""
-    # A method that fails is left out.
-    labels = [method.label for method in methods if (method.label, number) in measured.images]
-    images = {label: measured.images[label, number] for label in labels}
-    images["clean"] = pair_images(item.place).clean
-    psnr_db = {label: measured.figures[label][number]["psnr"] for label in labels}
-
-    title = f"{item.scene} {item.frame}"
-    if item.variant:
-        title += f" #{item.variant}"
-    return ComparedImages(title, images, psnr_db, truth="clean")

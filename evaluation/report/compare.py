@@ -17,9 +17,10 @@ import pandas as pd
 from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ..metrics.measure import METRICS
-from ..metrics.statistics import LEAST_FRAMES, Paired, holm, paired
+from ..metrics.statistics import LEAST_FRAMES
 from .build import RESULTS_NAME
-from .tables import as_markdown, as_table, interval, percent, plain, written, written_p
+from .content import Estimator, add_holm_p
+from .tables import as_markdown, as_table, interval, percent, written, written_p
 
 REAL_NAME = "real.json"
 _ALPHA = 0.05
@@ -63,51 +64,50 @@ def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str,
             f"{a} and {b}: reports on different pairs, none in common; give two on one dataset"
         )
     groups = ["/".join(key[1:]) for key in common]
-    results: dict[str, Paired] = {}
-    for name, metric in METRICS.items():
-        if name in row_values_a and name in row_values_b:
-            first, second = (
-                row.loc[common, name].to_numpy(float) for row in (row_values_a, row_values_b)
-            )
-            results[name] = paired(
-                first, second, groups, better=metric.better, resamples=2000, seed=0
-            )
-    judged = [name for name in results if METRICS[name].better]
-    adjusted = dict(zip(judged, holm([results[name].p for name in judged]), strict=True))
+    figures = {
+        name: pd.DataFrame(
+            {"a": row_values_a.loc[common, name], "b": row_values_b.loc[common, name]}
+        )
+        for name in METRICS
+        if name in row_values_a and name in row_values_b
+    }
+    estimator = Estimator(figures, groups, resamples=2000, seed=0)
+    differences = {name: estimator.difference(name, "a", "b") for name in figures}
+    add_holm_p([item for name, item in differences.items() if METRICS[name].better])
+    for name, item in differences.items():
+        item["verdict"] = _verdict(item, METRICS[name].better)
     return {
         "a": {"folder": a.name, "row": name_a},
         "b": {"folder": b.name, "row": name_b},
         "pairs": len(common),
         "frames": len(set(groups)),
         "left_out": len(row_values_a.index.symmetric_difference(row_values_b.index)),
-        "metrics": {n: _line(n, result, adjusted.get(n)) for n, result in results.items()},
+        "metrics": differences,
     }
 
 
-def _line(name: str, result: Paired, p_holm: float | None) -> dict[str, Any]:
-    """A metric; better only where the interval excludes zero and Holm's p is below 0.05."""
-    item = result.difference
-    better = METRICS[name].better
-    verdict = "no difference shown"
-    if not better or not item.count:
-        verdict = "not ranked" if item.count else "no figures"
-    elif p_holm is not None and p_holm < _ALPHA and item.low * item.high > 0:
-        verdict = "better" if item.mean * better > 0 else "worse"
-    wins = {"wins": plain(result.wins), "p_holm": p_holm, "verdict": verdict}
-    return {"difference": item.mean, "low": item.low, "high": item.high, **wins}
+def _verdict(item: Mapping[str, Any], better: int) -> str:
+    """Whether A is better: only where the interval excludes zero and Holm's p is below 0.05."""
+    if not item["count"]:
+        return "no figures"
+    if not better:
+        return "not ranked"
+    if (item["p_holm"] or 1.0) < _ALPHA and item["low"] * item["high"] > 0:
+        return "better" if item["mean"] * better > 0 else "worse"
+    return "no difference shown"
 
 
-def text_of(result: dict[str, Any]) -> str:
+def text_of(result: Mapping[str, Any]) -> str:
     """The comparison in Markdown."""
     a, b = (f"{result[side]['row']} ({result[side]['folder']})" for side in "ab")
     left_out = f", {result['left_out']} in one report only" if result["left_out"] else ""
     rows = []
-    for name, figures in result["metrics"].items():
+    for name, item in result["metrics"].items():
         metric = METRICS[name]
         digits = metric.digits + 1
-        cells = written(figures["difference"], digits, True), interval(figures, digits, True)
-        wins = percent(figures["wins"]) if metric.better else "-"
-        rows.append([metric.label, *cells, written_p(figures["p_holm"]), wins, figures["verdict"]])
+        cells = written(item["mean"], digits, True), interval(item, digits, True)
+        wins = percent(item["wins"]) if metric.better else "-"
+        rows.append([metric.label, *cells, written_p(item.get("p_holm")), wins, item["verdict"]])
     head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
     about = f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}"
     if result["frames"] < LEAST_FRAMES:

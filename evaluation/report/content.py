@@ -107,9 +107,14 @@ def compare_rows(
             if row["kind"] in kinds and metric in row["metrics"] and row["label"] != reference:
                 row[key][metric] = estimator.difference(metric, row["label"], reference)
                 family.append(row[key][metric])
-        p_values = [math.nan if test["p"] is None else test["p"] for test in family]
-        for test, adjusted_p in zip(family, holm(p_values), strict=True):
-            test["p_holm"] = plain(adjusted_p)
+        add_holm_p(family)
+
+
+def add_holm_p(family: Sequence[dict[str, Any]]) -> None:
+    """Add Holm's adjusted p values, as `p_holm`, to the differences of a family of tests."""
+    p_values = [math.nan if test["p"] is None else test["p"] for test in family]
+    for test, adjusted_p in zip(family, holm(p_values), strict=True):
+        test["p_holm"] = plain(adjusted_p)
 
 
 def content_of(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files as resources
 from pathlib import Path
@@ -18,6 +18,7 @@ from markupsafe import Markup, escape
 
 from ...factory.common.array_types import Float32s
 from ...factory.common.files import explain_os_errors, write_atomically
+from ..judging.runner import Measured
 from .tables import as_markdown
 
 if TYPE_CHECKING:
@@ -65,6 +66,26 @@ class ComparedImages:
     images: dict[str, Float32s]
     psnr: dict[str, float] = field(default_factory=dict)
     truth: str = ""
+
+
+def compared(
+    measured: Measured,
+    number: int,
+    title: str,
+    labels: Iterable[str],
+    truth_label: str,
+    truth: Float32s | None,
+) -> ComparedImages:
+    """What the rows of these labels made of an image that was kept, beside its truth if any."""
+    images = {
+        label: measured.images[label, number]
+        for label in labels
+        if (label, number) in measured.images
+    }
+    if truth is None:
+        return ComparedImages(title, images)
+    psnr_db = {label: measured.figures[label][number]["psnr"] for label in images}
+    return ComparedImages(title, {**images, truth_label: truth}, psnr_db, truth_label)
 
 
 def publish(
