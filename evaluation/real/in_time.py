@@ -22,7 +22,7 @@ from ...factory.common.array_types import Array, Bools, Floats
 from ...factory.common.errors import FactoryError
 from ...factory.common.progress import Bar
 from ...factory.common.workers.tasks import TaskPool
-from ...models.denoise.temporal.stream import FRAMES
+from ...models.denoise.options import FRAMES
 from ..filters import Parameters
 from ..filters.windows import mean_around
 from ..judging.methods import Method, shown
