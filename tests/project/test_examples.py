@@ -79,6 +79,7 @@ def test_workers_of_a_loader_share_a_dataset(dataset: Path, printed: Callable[..
     [
         ("read_with_h5py.py", ()),
         ("boxes.py", ()),
+        ("complex_field.py", ()),
         ("draw_boxes.py", ("out.png",)),
         ("draw_tracks.py", ("out.png",)),
         ("load_with_workers.py", ()),
