@@ -170,14 +170,14 @@ def run(
     timeout_s: float,
     chunk: int = 1,
     keep: Callable[[int], bool] = lambda number: False,
-    tick: Callable[[int], object] = lambda done: None,
+    tick: Callable[[], object] = lambda: None,
 ) -> Measured:
     """Every method on every image.
 
     methods: of different labels.  batches: number -> image; of a batch all are in memory.
     timeout_s: for one method on one image.  chunk: images in a task.
     keep: whether the denoised images of an image come back.
-    tick: called with the number of results that are in.
+    tick: called for each result of a method on an image.
 
     A method that fails on an image, or whose worker dies, loses its row.  Raises
     FactoryError for an image that cannot be read.
@@ -200,7 +200,8 @@ def run(
                 if alike[0].label not in measured.lost:
                     waiting.append(JudgingTask(tuple(alike), subjects, device, kept))
         for task, results in pool.run(measure_task, waiting, limit_s):
-            tick(len(task.subjects) * len(task.methods))
+            for _ in range(len(task.subjects) * len(task.methods)):
+                tick()
             labels = [method.label for method in task.methods]
             if isinstance(results, TaskLost | str):
                 loss = results if isinstance(results, str) else results.reason
