@@ -25,6 +25,7 @@ class DataSettings:
     crops: Count
     weaker: Share
     displays: Share = 0.0
+    radial: Share = 0.0
     validation: Annotated[float, Field(gt=0, lt=1)]
     validation_limit: Count | None
     reuse: Annotated[int, Field(ge=1, le=1000)]
@@ -83,6 +84,7 @@ class MixedData(RenderedData):
     points_share: Share
     several: Share
     targets: Share
+    water: Share
 
     def __post_init__(self) -> None:
         super().__post_init__()

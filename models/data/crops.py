@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,12 +16,21 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset, Sampler
 
-from ...factory.common.array_types import Int64s
+from ...factory.common.array_types import Float32s, Int64s
 from ...factory.common.seeds import stream
 from ...factory.dataset.pair_dataset import mixed_order
+from ..networks.bearing_view import (
+    BEARINGS,
+    SEGMENTS,
+    Sector,
+    bearing_view,
+    sector_of,
+    segment_means,
+)
 from ..settings import DataSettings
-from .displays import Display, ImagePart, draw_display, resized_planes, show, with_greys
+from .displays import Display, ImagePart, compressed, draw_display, resized_planes, show, with_greys
 from .pairs import Batch, ImageSource, TrainingImage
+from .radial import with_radial
 
 LANES = 8
 """Steps that follow each other draw their images from this many lanes; see `VisitSampler`."""
@@ -61,6 +71,10 @@ class Crops(Dataset[Batch]):
 
     def __getitem__(self, visit: Visit) -> Batch:
         sample = self.source.sample(visit.image, visit.round)
+        if self.data.radial:
+            draws = stream(self.seed, "radial", visit.number)
+            if draws.random() < self.data.radial:
+                sample = with_radial(sample, draws)
         rng = stream(self.seed, "crop", visit.number)
         shape = tuple(min(self.data.patch, side) for side in sample.noisy.shape)
         display = Display()
@@ -69,6 +83,7 @@ class Crops(Dataset[Batch]):
             if draws.random() < self.data.displays:
                 display = draw_display(draws)
         extent = extent_of(shape, sample.noisy.shape, display.scale)
+        views = whole_bearings(sample, display) if "bearings" in self.extras else None
         parts = []
         for _ in range(self.data.crops):
             top, left = (
@@ -77,13 +92,73 @@ class Crops(Dataset[Batch]):
             )
             flip = bool(rng.random() < 0.5)
             part = crop(sample, (top, left), extent, flip, self.extras, display)
-            parts.append(part if extent == shape else scaled(part, shape))
-        return concatenate(parts)
+            part = part if extent == shape else scaled(part, shape)
+            if display.quality:
+                noisy = compressed(part["noisy"][0, 0].numpy(), display.quality)
+                part["noisy"] = torch.from_numpy(noisy)[None, None]
+            if views is not None:
+                part["bearing_sector"] = views.limits(mirrored=flip)
+            parts.append(part)
+        batch = concatenate(parts)
+        return batch if views is None else batch | views.batch()
 
 
 def whole_image(sample: TrainingImage, extras: Sequence[str] = ()) -> Batch:
     """A sample as a batch of one."""
-    return crop(sample, (0, 0), sample.noisy.shape, False, extras)
+    batch = crop(sample, (0, 0), sample.noisy.shape, False, extras)
+    views = whole_bearings(sample) if "bearings" in extras else None
+    if views is None:
+        return batch
+    return batch | views.batch() | {"bearing_sector": views.limits(mirrored=False)}
+
+
+@dataclass(frozen=True, eq=False)
+class WholeBearings:
+    """What a network sees of an image's whole bearings; see `networks.bearing_view`.
+
+    view: (2, RANGES, BEARINGS).  interference: (SEGMENTS, BEARINGS), what is to be taken off.
+    """
+
+    view: Float32s
+    interference: Float32s
+    sector: Sector
+
+    def limits(self, *, mirrored: bool) -> torch.Tensor:
+        """(1, 4) sector of a crop, which may be mirrored."""
+        near, far, left_rad, right_rad = self.sector
+        sign = -1 if mirrored else 1
+        return torch.tensor([[near, far, sign * left_rad, sign * right_rad]])
+
+    def batch(self) -> Batch:
+        """Planes that all crops of the image share."""
+        return {
+            "bearings": torch.from_numpy(self.view)[None],
+            "interference": torch.from_numpy(self.interference)[None],
+        }
+
+
+def whole_bearings(sample: TrainingImage, display: Display = _AS_IT_IS) -> WholeBearings | None:
+    """The whole bearings of a sample as it is shown; None where its geometry is unknown."""
+    geometry = sample.geometry
+    if geometry is None:
+        return None
+    shape = sample.noisy.shape
+    place = ImagePart(0, 0, shape, shape)
+    rows, columns = (max(2, round(side * display.scale)) for side in shape)
+
+    def seen(image: Float32s) -> Float32s:
+        if display != _AS_IT_IS:
+            image = with_greys(show(image, display, place), display.greys)
+        if geometry.layout == "polar" or display.scale == 1:
+            return bearing_view(image, geometry)
+        image = resized_planes({"image": image}, (rows, columns))["image"]
+        return bearing_view(image, geometry.scaled(rows, columns, display.scale))
+
+    view = seen(sample.noisy)
+    interference = np.zeros((SEGMENTS, BEARINGS), np.float32)
+    if sample.undisturbed is not None:
+        interference = segment_means(view) - segment_means(seen(sample.undisturbed))
+    return WholeBearings(view, interference, sector_of(geometry))
 
 
 def extent_of(

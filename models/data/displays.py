@@ -15,7 +15,7 @@ import numpy as np
 
 from ...factory.common.array_types import Float32s
 
-_LEAST_SCALE = 0.4
+_LEAST_SCALE = 0.35
 _MOST_SCALE = 1.6
 _SCALED_SHARE = 0.5  # of the displays; each line below counts by itself
 _BAND_SHARE = 0.45
@@ -24,6 +24,8 @@ _GLARE_SHARE = 0.15
 _GAIN_SHARE = 0.4
 _GAMMA_SHARE = 0.3
 _FEW_GREYS_SHARE = 0.15
+_COMPRESSED_SHARE = 0.15
+_QUALITIES = (45, 96)
 _DECIBEL = np.float32(np.log(10) / 20)
 
 
@@ -63,6 +65,7 @@ class Display:
     scale: size over that of the image.  gain: of all pixels, before those above 1 saturate.
     near_db, far_db: gain of the last and the first row, even in decibels between (far range is on
     top).  gamma: exponent of grey values.  greys: how many there are in the noisy image; 0: all.
+    quality: of the JPEG that the noisy image went through, as frames of videos do; 0: none.
     """
 
     scale: float = 1.0
@@ -73,6 +76,7 @@ class Display:
     glare: Glare | None = None
     gamma: float = 1.0
     greys: int = 0
+    quality: int = 0
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,7 @@ def draw_display(rng: np.random.Generator) -> Display:
     glare = None
     gamma = 1.0
     greys = 0
+    quality = 0
     if rng.random() < _SCALED_SHARE:
         scale = float(np.exp(rng.uniform(np.log(_LEAST_SCALE), np.log(_MOST_SCALE))))
     if rng.random() < _GAIN_SHARE:
@@ -107,10 +112,12 @@ def draw_display(rng: np.random.Generator) -> Display:
         row, column = rng.uniform(-0.1, 1.1, 2)
         glare = Glare(row, column, rng.uniform(0.05, 0.5), float(np.exp(rng.uniform(0.3, 1.9))))
     if rng.random() < _GAMMA_SHARE:
-        gamma = float(np.exp(rng.uniform(np.log(0.5), np.log(1.8))))
+        gamma = float(np.exp(rng.uniform(np.log(0.4), np.log(2.1))))
     if rng.random() < _FEW_GREYS_SHARE:
         greys = int(rng.choice([8, 16, 16, 32, 64]))
-    return Display(scale, gain, near_db, far_db, tuple(bands), glare, gamma, greys)
+    if rng.random() < _COMPRESSED_SHARE:
+        quality = int(rng.integers(*_QUALITIES))
+    return Display(scale, gain, near_db, far_db, tuple(bands), glare, gamma, greys, quality)
 
 
 def _draw_band(rng: np.random.Generator) -> Band:
@@ -167,6 +174,16 @@ def with_greys(image: Float32s, count: int) -> Float32s:
     if not count:
         return image
     return np.asarray(np.rint(image * (count - 1)) / np.float32(count - 1), np.float32)
+
+
+def compressed(image: Float32s, quality: int) -> Float32s:
+    """An image in 0..1 as it comes out of a JPEG of a quality; 0 leaves it."""
+    if not quality:
+        return image
+    levels = np.rint(image * 255).astype(np.uint8)
+    content = cv2.imencode(".jpg", levels, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    decoded = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
+    return np.asarray(decoded, np.float32) / np.float32(255)
 
 
 def resized_planes(planes: Mapping[str, Float32s], shape: tuple[int, int]) -> dict[str, Float32s]:

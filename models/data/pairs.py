@@ -40,6 +40,8 @@ class TrainingImage:
     frames: (H, W) float32, how many frames were averaged in `noisy` (`networks.averaged`), or None
         for one.
     taught: part of the target that a teacher's image is, 0 to 1.
+    undisturbed: (H, W) float32, the noisy image without interference along bearings; None: there
+        is none.
     """
 
     noisy: Float32s
@@ -48,6 +50,7 @@ class TrainingImage:
     geometry: FanGeometry | None = None
     frames: Float32s | None = None
     taught: float = TAUGHT
+    undisturbed: Float32s | None = None
 
 
 class ImageSource:

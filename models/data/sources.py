@@ -24,7 +24,8 @@ from ...factory.simulation.pairs.views import open_views
 from ...factory.simulation.scenes import open_reader
 from ..settings import DataSettings, MixedData, ModelsSettings, OldData, RenderedData, SequencesData
 from .images import OldDataSource, digest_of, list_images, smallest_side
-from .pairs import Data, SampleRef, TrainingPairs, hold_out, read_table, spread
+from .pairs import Data, ImageSource, SampleRef, TrainingPairs, hold_out, read_table, spread
+from .radial import RadialSource
 from .renders import DeviceSource, RenderSource, image_scales
 from .sequences import open_sequences
 from .time_stacks import MixedSource, open_stacks
@@ -189,15 +190,22 @@ def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], 
     config = replace(points.config, **device_settings)
     # An image without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
+    if data.radial:
+        # Spokes are drawn into the images, where it is known how strong they are.
+        spokes = replace(config.noise.spokes, enabled=False)
+        config = replace(config, noise=replace(config.noise, spokes=spokes))
     stacks = open_stacks(data.recordings, data.least_side)
     refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))
     still = sum(stack.is_still for stack in stacks)
     print(f"recordings: {len(stacks)}, {still} of them static")
     devices = DeviceSource(config, points.images, data, seed)
     shown = spread(others, data.validation_limit)
+    validation: ImageSource = DeviceSource(noisy, shown, replace(data, weaker=0.0), seed)
+    if data.radial:
+        validation = RadialSource(validation, seed)
     return Data(
         MixedSource(devices, points, stacks, data, seed),
-        DeviceSource(noisy, shown, replace(data, weaker=0.0), seed),
+        validation,
         {
             "renders.devices": config_hash({name: plain(config)[name] for name in _DECIDE}),
             "data.recordings": digest_of(refs),

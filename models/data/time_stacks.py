@@ -25,6 +25,7 @@ from ..settings import MixedData
 from .images import list_images, read_sample
 from .pairs import ImageSource, SampleRef, TrainingImage
 from .targets import draw_targets, insert_targets
+from .water import with_water
 
 _LEAST_FRAMES = 10
 """Frames of a recording that can be a target: the mean of two or five keeps the speckle of a static
@@ -41,8 +42,6 @@ _TAUGHT = 0.5  # of the target of a recording's single frame, what a teacher mak
 _AS_RECORDED = 0.4  # part of the visits of a recording that are not shown at another size and gain
 _SCALES = (0.55, 1.15)
 _GAINS = (0.5, 1.3)
-_LOUD = 0.18  # part of the images that get a loud beam
-_LOUD_WIDTHS_RAD = (0.0012, 0.014)  # standard deviation across
 # log2 of the frames from which on a pixel has its full weight in the loss.  A single frame amid
 # several has none, for its target has speckle that may go.
 _FULL = 0.7
@@ -173,11 +172,13 @@ class MixedSource(ImageSource):
             sample = resized(stack.sample(rng), rng)
         else:
             sample = self.devices.sample(index, visit)
+            if rng.random() < data.water:
+                sample = with_water(sample, rng)
             if rng.random() < data.several:
                 sample = standing(sample, rng)
         if rng.random() < data.targets:
             sample = insert_targets(sample, draw_targets(rng, sample.noisy.shape))
-        return with_loud_beam(sample, rng)
+        return sample
 
 
 def resized(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
@@ -245,30 +246,6 @@ def temporal_noise(rng: np.random.Generator, image: Float32s) -> Float32s:
         # Echoes of DIDSON recordings vary less where they are bright.
         level = level * np.clip(1 - (image - 0.25) / rng.uniform(0.5, 1.2), 0.35, 1)
     return np.asarray(rng.uniform(0.015, 0.07) * level * grain * (image > 0.004), np.float32)
-
-
-def with_loud_beam(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
-    """Add a beam that is too loud along most of its length, which the target lacks."""
-    if sample.geometry is None or rng.random() >= _LOUD:
-        return sample
-    maps = sample.geometry.maps(0, 0, *sample.noisy.shape)
-    inside = maps["sector"] > 0
-    if not inside.any():
-        return sample
-    dark = np.float32(rng.uniform(0.1, 0.7) if rng.random() < 0.5 else 1)
-    azimuth = maps["azimuth_rad"]
-    radius = maps["range_fraction"]
-    low = float(azimuth[inside].min())
-    high = float(azimuth[inside].max())
-    middle = 0.0 if low < 0 < high and rng.random() < 0.4 else rng.uniform(low, high)
-    width_rad = np.exp(rng.uniform(*np.log(_LOUD_WIDTHS_RAD)))
-    beam = np.exp(-0.5 * ((azimuth - middle) / width_rad) ** 2)
-    profile = np.interp(radius, np.linspace(0, 1, 9), rng.uniform(0.5, 1, 9))
-    looks = 4 * (1 if sample.frames is None else float(np.exp2(np.median(sample.frames))))
-    speckle = 1 + rng.uniform(0.2, 1.2) * (rng.gamma(looks, 1 / looks, azimuth.shape) - 1)
-    loud = rng.uniform(0.06, 0.7) * beam * profile * speckle * inside
-    noisy = np.clip(dark * sample.noisy + loud, 0, 1).astype(np.float32)
-    return replace(sample, noisy=noisy, clean=dark * sample.clean)
 
 
 def smooth_field(rng: np.random.Generator, shape: tuple[int, ...]) -> Float32s:

@@ -17,11 +17,12 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ...factory.common.array_types import Float32s, Float64s
+from ...factory.common.array_types import Bools, Float32s, Float64s
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import sha256_of
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks import averaged
+from ..networks.bearing_view import bearing_view, interference_at, sector_of
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
 from .grain_width import grain_correlation
@@ -29,6 +30,7 @@ from .images import block_means
 from .left_detail import corrected_by_detail
 from .polar import Maps
 from .runtime import open_runtime
+from .saturated import with_saturated
 from .wide_cells import by_cells
 
 Work = Callable[[Float32s, Maps], Float32s]
@@ -39,6 +41,8 @@ _LIT = 0.1
 _LIT_SHARE = 0.01
 """Around a fan, the grey value of lit pixels and their share from which on it is a lit page."""
 _RAMP = 0.02  # of the correlation: from nothing to the whole change of the smaller image
+_BLACK_SIDE_PX = 5
+_LEAST_INTERFERENCE = 0.5 / 255  # half a grey value of 8 bits
 _LEAST_SIDE = 96  # of an image that may still be halved, pixels
 
 
@@ -108,15 +112,28 @@ class Denoiser:
         outside = maps.get("sector", np.ones_like(grey)) <= 0
         bright = bool(outside.any()) and (grey[outside] > _LIT).mean() > _LIT_SHARE
         shown = np.where(outside, np.float32(0), grey) if bright else grey
+        if "bearings" in extras and presentation.geometry is not None:
+            shown = self._without_interference(shown, presentation.geometry, maps)
         if self.runtime.average_cells:
             denoised = by_cells(shown, maps, self._denoise_whole)
         else:
             denoised = by_scales(shown, maps, self._denoise_whole, widest)
         if frames is None and self.knows_frames:
-            denoised = corrected_by_detail(shown, denoised)
+            denoised = with_saturated(corrected_by_detail(shown, denoised), shown)
+            denoised = np.where(_surroundings_are_black(grey), np.float32(0), denoised)
         if bright:
             denoised = np.where(outside, grey, denoised)
         return presentation.undone(denoised)
+
+    def _without_interference(self, grey: Float32s, geometry: FanGeometry, maps: Maps) -> Float32s:
+        """The image less the interference along whole bearings, below 0 too."""
+        sector = sector_of(geometry)
+        width_rad = sector.right_rad - sector.left_rad
+        nodes = np.maximum(self.runtime.interference(bearing_view(grey, geometry), width_rad), 0)
+        if nodes.max() < _LEAST_INTERFERENCE:
+            return grey
+        amount = interference_at(nodes, sector, maps["range_fraction"], maps["azimuth_rad"])
+        return np.asarray(grey - amount * (maps["sector"] > 0), np.float32)
 
     def _maps_of(self, geometry: FanGeometry, height: int, width: int) -> Maps:
         """The maps of a geometry, the same arrays for every frame of a recording."""
@@ -144,6 +161,12 @@ class Denoiser:
         if not np.isfinite(result).all():
             raise FactoryError(f"weights={self.name}: make NaN of this image; train again")
         return result
+
+
+def _surroundings_are_black(grey: Float32s) -> Bools:
+    """(H, W): where a square around the pixel holds no echo at all; in grain some pixel does."""
+    square = np.ones((_BLACK_SIDE_PX, _BLACK_SIDE_PX), np.uint8)
+    return np.asarray(cv2.dilate(grey, square, borderType=cv2.BORDER_REPLICATE) <= 0)
 
 
 def by_scales(grey: Float32s, maps: Maps, denoise: Work, widest: float) -> Float32s:

@@ -79,14 +79,14 @@ def _on_gpu(device: str, is_available: bool) -> bool:
     return is_available and device != "cpu"
 
 
-_NOT_IN_GRAPH = "forget", "wide_grain", "average_cells"
+_NOT_IN_GRAPH = "forget", "wide_grain", "average_cells", "even_level"
 
 
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of a `model` configuration that determine the graph."""
     every = {"told": True, "frames": False, "mirror": False, "channels": 1, **model}
-    if not every.get("even_level"):
-        every.pop("even_level", None)  # which graphs of earlier versions do not name
+    if not every.get("bearings"):
+        every.pop("bearings", None)  # which graphs of earlier versions do not name
     return {key: value for key, value in every.items() if key not in _NOT_IN_GRAPH}
 
 
@@ -130,8 +130,7 @@ def _session_of(content: bytes, weights: Mapping[str, Array], providers: list[st
     options.intra_op_num_threads = usable_cores()
     # Waiting threads would use as much time as computing ones.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    named = {f"network.{name}": tensor for name, tensor in weights.items()}
-    shared_arrays = give_weights(options, named)
+    shared_arrays = give_weights(options, weights)
     session = onnxruntime.InferenceSession(content, options, providers=providers)
     inputs = tuple(node.name for node in session.get_inputs())
     outputs = tuple(node.name for node in session.get_outputs())
@@ -154,7 +153,8 @@ class OnnxNetwork:
         cuda = "CUDAExecutionProvider"
         self.on_gpu = _on_gpu(device, cuda in onnxruntime.get_available_providers())
         self._providers = [*[cuda] * self.on_gpu, "CPUExecutionProvider"]
-        header, self._weights = read_weights(path)
+        header, weights = read_weights(path)
+        self._weights = {f"network.{name}": values for name, values in weights.items()}
         self._path = path
         self._forms = graph.forms()
         self._sessions: dict[Form, _Session] = {}
@@ -217,6 +217,12 @@ class OnnxNetwork:
         weight = float(outputs[2][0]) if len(outputs) == 3 else None
         return np.asarray(image, np.float32), weight
 
+    def interference(self, view: Float32s, width_rad: float) -> Float32s:
+        """(NODES, BEARINGS) of a `bearing_view` of a sector; see `networks.bearings`."""
+        inputs = {"view": view[None], "width_rad": np.float32([[width_rad]])}
+        (nodes,) = self._opened("bearings").session.run(["interference"], inputs)
+        return np.asarray(nodes[0], np.float32)
+
     def _form_of(self, frames: Float32s, weighs: bool) -> Form:
         """The graph that computes no more than is needed."""
         if "single" in self._forms and not frames.any():
@@ -227,7 +233,14 @@ class OnnxNetwork:
         """The session of a form of the graph.  Raises FactoryError for weights that do not fit."""
         if form not in self._sessions:
             content = self._forms[form]
-            used = self._weights if form == "whole" else used_weights(self._weights, content)
+            used = used_weights(self._weights, content)
+            if form == "whole":
+                # All but those of the head that is a graph of its own: weights that do not fit show.
+                used = {
+                    name: values
+                    for name, values in self._weights.items()
+                    if not name.startswith("network.bearings.")
+                }
             try:
                 self._sessions[form] = _session_of(content, used, self._providers)
             except Exception as error:  # onnxruntime has a class of its own for each reason
@@ -422,3 +435,14 @@ class TorchNetwork:
             else:
                 image = self._network(noisy, **known)
         return np.asarray(image[0, 0].float().cpu().numpy(), np.float32), weight
+
+    def interference(self, view: Float32s, width_rad: float) -> Float32s:
+        """See `OnnxNetwork`."""
+        import torch
+
+        with torch.inference_mode():
+            nodes = self._network.bearings(
+                torch.from_numpy(view)[None].to(self._device),
+                torch.tensor([[width_rad]], device=self._device),
+            )
+        return np.asarray(nodes[0].float().cpu().numpy(), np.float32)

@@ -11,7 +11,7 @@ import json
 import warnings
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 import torch
@@ -29,6 +29,8 @@ from ..denoise.runtime import (
     used_weights,
 )
 from ..networks import DEFAULT, GEOMETRY, vector
+from ..networks.bearing_view import BEARINGS, RANGES
+from ..networks.bearings import BearingHead
 from ..networks.folded import LineTable, LineTables, geometry_features
 from ..networks.line_context import MapLines
 from ..networks.network import Network, padded
@@ -117,7 +119,8 @@ class RuntimeGraph(Graph):
     polar images and images of unknown geometry.  What the first layer makes of the geometry is an
     input, too: the graph `geometry` computes it once for all images that share it.
     Outputs: `change` and `shadow_logits` (1, 1, H, W); `weight` (1,), the factor on the change; of
-    the form `geometry`: `features` (cells, C).  See `Form`.
+    the form `geometry`: `features` (cells, C); of `bearings`: `interference`, as of `BearingHead`.
+    See `Form`.
     """
 
     tolerance: ClassVar[float] = 1e-5
@@ -144,6 +147,9 @@ class RuntimeGraph(Graph):
         if form == "geometry":
             self.inputs = ("maps",)
             self.outputs = ("features",)
+        if form == "bearings":
+            self.inputs = ("view", "width_rad")
+            self.outputs = ("interference",)
         images = {"noisy", "outside", "maps", "frames", "change", "shadow_logits"}
         self.axes = {
             name: {2: "height", 3: "width"}
@@ -163,6 +169,8 @@ class RuntimeGraph(Graph):
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Compute the outputs from the inputs in the order of `self.inputs`, as is fastest."""
         named = dict(zip(self.inputs, inputs, strict=True))
+        if self.form == "bearings":
+            return (cast(BearingHead, self.network.bearings)(named["view"], named["width_rad"]),)
         if self.form == "geometry":
             maps = padded(named["maps"], self.network.core_stride)
             return (geometry_features(self.network.intro, maps),)
@@ -175,6 +183,8 @@ class RuntimeGraph(Graph):
 
     def expected(self, inputs: Inputs) -> tuple[Tensor, ...]:
         """What the layers of training compute."""
+        if self.form == "bearings":
+            return self.forward(inputs["view"], inputs["width_rad"])
         maps = inputs["maps"]
         if self.form == "geometry":
             return self.forward(maps)
@@ -203,6 +213,11 @@ class RuntimeGraph(Graph):
         The image is a fan, polar or of unknown geometry for seeds 0, 1, 2, and so on.
         """
         rng = np.random.default_rng(seed)
+        if self.form == "bearings":
+            view = rng.gamma(4, 0.05, (1, 2, RANGES, BEARINGS)).astype(np.float32)
+            view[:, 1] = rng.random((RANGES, BEARINGS)) < 1 - 0.2 * seed
+            width_rad = np.float32([[0.3 + 0.5 * seed]])
+            return {"view": torch.from_numpy(view), "width_rad": torch.from_numpy(width_rad)}
         noisy = np.clip(rng.exponential(0.2, (height, width)), 0, 1).astype(np.float32)
         layouts: tuple[Layout, ...] = ("fan", "polar", "none")
         layout = layouts[seed % len(layouts)]
@@ -261,6 +276,8 @@ def _write_runtime(trained: Trained, out: Path) -> float:
     others: tuple[Form, ...] = ("geometry",)
     if "frames" in network.extras:
         others = ("geometry", "single", "window")
+    if "bearings" in network.extras:
+        others = (*others, "bearings")
     about = {
         "model": json.dumps(structure(trained.model), sort_keys=True),
         "extras": ",".join(network.extras),

@@ -47,7 +47,7 @@ _INDEPENDENT = 0.36
 of frames that follow each other is correlated.  Seven frames of two DIDSON recordings and of five
 of the MDD groups came out best as two independent ones."""
 
-_GONE: dict[str, object] = {"channels": 1, "mirror": False}
+_GONE: dict[str, object] = {"channels": 1, "mirror": False, "even_level": False}
 """Keys of weights of earlier versions, with the value that is left."""
 
 

@@ -45,6 +45,12 @@ class Network(nn.Module):
         """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         raise NotImplementedError
 
+    def without_interference(
+        self, noisy: Tensor, extras: Mapping[str, Tensor]
+    ) -> tuple[Tensor, Tensor | None]:
+        """The image without interference along bearings, and what `BearingHead` states, if any."""
+        return noisy, None
+
     def with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """The image with its whole change, not weighed as by `forward`, and the heads' output."""
         raise NotImplementedError

@@ -6,8 +6,8 @@
 - Range, bearing and the insonified sector of every cell are inputs.  What is to be removed scales
   and shifts the features of every level (FiLM, Perez et al. 2018), and so does, pixel by pixel, how
   many frames were averaged, which changes nothing for a single frame.
-- It sees the image over its local level, and its change is multiplied by that level (`even_level`):
-  a gain over part of an image changes what is done elsewhere hardly at all.
+- A head that sees whole bearings says what interference lies along them, which is subtracted first
+  (`BearingHead`).
 - Means along whole beams and arcs are part of the features (`LineContext`).
 - A second head predicts shadow, in which the image is black; a third (`BlendHead`) weighs the
   change of the whole image.
@@ -20,6 +20,7 @@ Without geometry it works on the image as it is; in training the geometry is wit
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, cast
@@ -33,9 +34,9 @@ from torch.nn import functional
 from ...factory.common.settings import STRICT
 from ...factory.simulation.imaging.artefacts import ARTEFACTS
 from . import DEFAULT, GEOMETRY, vector
+from .bearings import BearingHead, at_pixels
 from .blend_head import BlendHead
 from .blocks import residual_blocks, zeroed
-from .even_level import CELL_PX, evening_gain
 from .folded import (
     LineTables,
     first_features,
@@ -70,11 +71,9 @@ class SonarNetSettings:
     average_cells: bool = False
     told: bool = True
     frames: bool = False
-    even_level: bool = False
+    bearings: bool = False
 
     def __post_init__(self) -> None:
-        if self.even_level and 2 ** len(self.widths) < CELL_PX:
-            raise ValueError("even_level: needs widths of three resolutions or more")
         if self.average_cells and not self.polar:
             raise ValueError("average_cells: needs the polar grid; set polar=true")
         if self.frames and self.polar:
@@ -121,7 +120,10 @@ class SonarNet(Network):
         remove_inputs = ("remove",) if settings.told else ()
         # What is always forgotten is no input.
         maps = GEOMETRY if settings.forget < 1 else ()
-        self.extras = (*maps, *remove_inputs, *(("frames",) if settings.frames else ()))
+        views = ("bearings", "bearing_sector") if settings.bearings else ()
+        frames_inputs = ("frames",) if settings.frames else ()
+        self.extras = (*maps, *remove_inputs, *frames_inputs, *views)
+        self.bearings = BearingHead() if settings.bearings else None
         if settings.told:
             self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())
             self.films = nn.ModuleList(zeroed(nn.Linear(_TOLD, 2 * width)) for width in widths)
@@ -143,9 +145,27 @@ class SonarNet(Network):
 
     def forward(self, noisy: Tensor, **extras: Tensor) -> Tensor:
         """The image with the part of its change that the blend head gives it, (N, 1, H, W)."""
+        noisy, _ = self.without_interference(noisy, extras)
         output = self.with_heads(noisy, **extras)
         part = output.weight[:, None, None, None].to(noisy.dtype)
         return noisy + part * (output.image - noisy)
+
+    def without_interference(
+        self, noisy: Tensor, extras: Mapping[str, Tensor]
+    ) -> tuple[Tensor, Tensor | None]:
+        """See `Network`; needs the maps, `bearings` and `bearing_sector`."""
+        needed = {"range_fraction", "azimuth_rad", "bearings", "bearing_sector"}
+        if self.bearings is None or not needed <= extras.keys():
+            return noisy, None
+        limits = extras["bearing_sector"]
+        views = extras["bearings"]
+        crops = limits.shape[0] // views.shape[0]
+        width_rad = (limits[::crops, 3:] - limits[::crops, 2:3]).abs()
+        nodes = self.bearings(views, width_rad)
+        maps = extras["range_fraction"], extras["azimuth_rad"]
+        amount = at_pixels(nodes.clamp_min(0).repeat_interleave(crops, dim=0), limits, *maps)
+        sector = extras.get("sector", torch.ones_like(noisy))
+        return noisy - amount * (sector > 0), nodes
 
     def with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """See `models.networks`; for any H and W.
@@ -236,10 +256,6 @@ class SonarNet(Network):
         """
         height, width = planes[0].shape[-2:]
         inputs = [padded(plane, self.core_stride) for plane in planes]
-        gain = None
-        if self.settings.even_level:
-            gain = evening_gain(inputs[0], _sector(inputs[-1]))
-            inputs[0] = gain * inputs[0]
         levels: list[Tensor] = []
         if frames is not None:
             frames = padded(frames, self.core_stride)
@@ -265,14 +281,12 @@ class SonarNet(Network):
         x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
         shuffle = shuffled if self.folds else partial(functional.pixel_shuffle, upscale_factor=2)
         heads = shuffle(self.outro(x))[..., :height, :width]
-        noisy = planes[0] if gain is None else inputs[0][..., :height, :width]
+        noisy = planes[0]
         change = heads[:, :1]
         logits = heads[:, 1:]
         sector = _sector(planes[-1])
         denoised = self.gated(noisy + change, logits)
         weight = self.blend(x, noisy, denoised - noisy, sector, folds=self.folds)
-        if gain is not None:
-            change = change / gain[..., :height, :width]
         return CoreOutput(change, logits, weight)
 
     def _conditioned(self, remove: Tensor, levels: list[Tensor]) -> list[Step]:

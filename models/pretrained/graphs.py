@@ -24,9 +24,9 @@ VOUCHED = "SIMNFND_GRAPHS"
 _MOST_BYTES = 1 << 24
 
 
-Form = Literal["whole", "geometry", "single", "window"]
+Form = Literal["whole", "geometry", "single", "window", "bearings"]
 """What a graph computes: everything; what the first layer makes of a geometry; a single frame; a
-frame of a window, whose change has no weight."""
+frame of a window, whose change has no weight; interference along bearings."""
 
 
 class RunnableGraph(NamedTuple):
@@ -44,7 +44,7 @@ class RunnableGraph(NamedTuple):
         return forms
 
 
-_PACKED = rb"\(simnfnd graph (?P<form>geometry|single|window) (?P<graph>[A-Za-z0-9+/=]+)\)"
+_PACKED = rb"\(simnfnd graph (?P<form>geometry|single|window|bearings) (?P<graph>[A-Za-z0-9+/=]+)\)"
 
 
 def packed(form: Form, content: bytes) -> str:

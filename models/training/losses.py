@@ -14,6 +14,7 @@ from torch.nn import functional
 
 from ...factory.common.settings import STRICT
 from ...factory.dataset.quality import CONTRAST_FLOOR, LUMINANCE_FLOOR, RADIUS_PX, SIGMA_PX
+from ..networks.bearings import interference_loss
 
 NotNegative = Annotated[float, Field(ge=0)]
 _PSNR_FLOOR = 1e-4  # added to the mean squares in `decibels`: below it, 40 dB, gains count little
@@ -44,6 +45,8 @@ class Loss:
     blend: of the binary cross entropy between `weight`, the part of its change that a network
     gives an image, and the best one there is, each image counting as the mean square of its
     change over that of its noise, at most 1; teaches that weight alone.
+    interference: of the difference between the interference along bearings that is there and that
+    a network's head states (`networks.bearings`).
     """
 
     kind: Literal["l1", "newloss"]
@@ -55,6 +58,7 @@ class Loss:
     ssim: NotNegative = 0.0
     mask: NotNegative = 0.05
     blend: NotNegative = 0.02
+    interference: NotNegative = 1.0
 
     def __call__(self, prediction: Tensor, clean: Tensor, batch: Mapping[str, Tensor]) -> Tensor:
         """Scalar, differentiable in `prediction` and in what the heads say.
@@ -80,6 +84,10 @@ class Loss:
             logits = batch["shadow_logits"]
             shadow = batch["shadow"]
             loss = loss + self.mask * functional.binary_cross_entropy_with_logits(logits, shadow)
+
+        if self.interference and "interference_nodes" in batch:
+            error = interference_loss(batch["interference_nodes"], batch["interference"])
+            loss = loss + self.interference * error
 
         if self.blend and "weight" in batch:
             loss = loss + self.blend * _blend_entropy(prediction, clean, batch)
@@ -141,8 +149,9 @@ def _blend_entropy(prediction: Tensor, clean: Tensor, batch: Mapping[str, Tensor
     """
     # Autocast forbids the cross entropy of probabilities on a GPU.
     with torch.autocast(prediction.device.type, enabled=False):
-        change = prediction.detach().float() - batch["noisy"].float()
-        noise = clean.float() - batch["noisy"].float()
+        noisy = batch["noisy"].detach().float()
+        change = prediction.detach().float() - noisy
+        noise = clean.float() - noisy
         change_power = change.square().mean(dim=(1, 2, 3))
         noise_power = noise.square().mean(dim=(1, 2, 3))
 

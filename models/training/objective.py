@@ -38,6 +38,10 @@ def taught_loss(
     network cannot do shows as noise in the gradients when it learns from clean images alone; the
     images of a larger one are nearer to what it can do.
     """
+    noisy, nodes = network.without_interference(batch["noisy"], known_extras(network, batch))
+    batch = {**batch, "noisy": noisy}
+    if nodes is not None:
+        batch["interference_nodes"] = nodes
     prediction, heads = _predicted(network, batch)
     batch = completed(batch | heads, prediction, teacher)
     return loss(prediction, batch["clean"], batch)

@@ -87,7 +87,13 @@ def begun(settings: ModelsSettings) -> Network:
     if settings.start is not None:
         trained = load_weights(find_weights(settings.start))
         try:
-            network.load_state_dict(trained.network.state_dict())
+            # A head that older weights lack begins without effect.
+            fresh = {
+                name: values
+                for name, values in network.state_dict().items()
+                if name.startswith("bearings.")
+            }
+            network.load_state_dict({**fresh, **trained.network.state_dict()})
         except RuntimeError as error:  # torch's message lists hundreds of tensors
             raise FactoryError(
                 f"start={settings.start}: holds {dict(trained.model)}, and model says "

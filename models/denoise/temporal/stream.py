@@ -318,7 +318,7 @@ class InTime:
         """The denoised frame; around a fan and in saturated echoes it keeps its own levels."""
         denoised = self._denoise(frame, predictor_weights)
         # Simulated points pile up: there a clipped cell is noisy, too.
-        if self._is_frame_aware:
+        if self._is_frame_aware and self.window > 1:
             denoised = with_saturated(denoised, levels)
         geometry = frame.geometry
         if not self._keeps_outside or geometry is None or geometry.layout == "polar":

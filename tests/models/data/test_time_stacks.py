@@ -17,7 +17,6 @@ from simnfnd.models.data.time_stacks import (
     Stack,
     open_stacks,
     standing,
-    with_loud_beam,
 )
 from simnfnd.models.networks import averaged
 from simnfnd.models.settings import MixedData
@@ -91,20 +90,6 @@ def test_static_speckle_stays_in_the_target() -> None:
     for sample in remaining:
         assert sample.frames is not None
         assert np.nanmax(np.abs(sample.noisy - sample.clean)) < 0.5
-
-
-def test_a_loud_beam_is_not_in_the_target() -> None:
-    for seed in range(60):
-        dark = TrainingImage(
-            np.full(SHAPE, 0.05, np.float32), np.full(SHAPE, 0.05, np.float32), None, POLAR
-        )
-        actual = with_loud_beam(dark, np.random.default_rng(seed))
-        assert actual.clean.std() < 1e-6
-        if actual is not dark:
-            along = (actual.noisy - actual.clean).mean(axis=0)
-            assert along.max() > 5 * np.median(along)
-            return
-    raise AssertionError("no loud beam in 60 images")
 
 
 def test_unknown_targets_cost_nothing() -> None:

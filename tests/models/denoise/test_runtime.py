@@ -40,9 +40,9 @@ MODELS = {
         "kind": "sonarnet", "widths": [4, 8], "blocks": [1, 1], "polar": False, "lines": True,
         "mask": True, "forget": 0.1, "frames": True, "wide_grain": 0.6,
     },
-    "even": {
+    "bearings": {
         "kind": "sonarnet", "widths": [4, 4, 8], "blocks": [0, 0, 1], "polar": False, "lines": True,
-        "mask": True, "forget": 0.1, "told": False, "even_level": True,
+        "mask": True, "forget": 0.1, "told": False, "bearings": True,
     },
     "grid": {
         "kind": "sonarnet", "widths": [4, 8], "blocks": [1, 1], "polar": True, "lines": True,

@@ -1,0 +1,139 @@
+"""Interference along bearings, told from what is radial and real by whole bearings.
+
+A crop, and a convolution over pixels, never sees whether an echo along a bearing ends.  This head
+sees statistics of whole bearings: interference crosses all ranges and fluctuates alike across its
+width; a wall, a pile or a rope begins and ends; beam patterns, haze and steps of gain do not
+fluctuate together.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from .bearing_view import BEARINGS, NODES, SEGMENTS
+from .blocks import zeroed
+from .network import down_and_up
+
+_ZONES = 4  # of the ranges in which fluctuation is compared
+_LAGS = (2, 6, 16, 40)  # distances of bearings whose fluctuation is compared, cells
+_TREND_ROWS = 9  # a mean over so many ranges is no fluctuation
+_BRIGHTEST = 8.0  # of the image's mean
+_FLOOR = 0.02  # grey value added to the mean of an image
+_WIDTHS = (48, 64, 96, 96, 96)
+_CHANNELS = 5 * SEGMENTS + 2 * _ZONES * len(_LAGS) + 2
+
+
+class BearingHead(nn.Module):
+    """How much interference an image holds along each bearing."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.intro = nn.Conv1d(_CHANNELS, _WIDTHS[0], 5, padding=2)
+        self.encoders = nn.ModuleList(_LineBlock(width) for width in _WIDTHS[:-1])
+        self.downs, self.ups = nn.ModuleList(), nn.ModuleList()
+        for fine, coarse in pairwise(_WIDTHS):
+            self.downs.append(nn.Conv1d(fine, coarse, 2, stride=2))
+            self.ups.insert(0, nn.ConvTranspose1d(coarse, fine, 2, stride=2))
+        self.middle = _LineBlock(_WIDTHS[-1])
+        self.decoders = nn.ModuleList(_LineBlock(width) for width in reversed(_WIDTHS[:-1]))
+        self.outro = zeroed(nn.Conv1d(_WIDTHS[0], NODES, 1))
+
+    def forward(self, view: Tensor, width_rad: Tensor) -> Tensor:
+        """(N, NODES, BEARINGS) grey values, below 0 too, of `bearing_view` (N, 2, ...).
+
+        width_rad: (N, 1) of the sector.
+        """
+        grey = view[:, 0].float()
+        known = view[:, 1].float()
+        area = known.sum(dim=(1, 2)).clamp_min(1)
+        level = ((grey * known).sum(dim=(1, 2)) / area + _FLOOR)[:, None, None]
+        relative = (grey / level).clamp(0, _BRIGHTEST) * known
+        scales = torch.cat([torch.log(level[:, 0]), torch.log(width_rad)], dim=1)
+        features = torch.cat(
+            [
+                _levels(relative, known),
+                _shared_fluctuation(relative, known),
+                scales[:, :, None].expand(-1, -1, BEARINGS),
+            ],
+            dim=1,
+        )
+        x = down_and_up(
+            self.intro(features), self.encoders, self.downs, self.middle, self.ups, self.decoders
+        )
+        nodes: Tensor = self.outro(x) * level
+        return nodes
+
+
+class _LineBlock(nn.Module):
+    """Two convolutions along bearings, added to what came in."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = nn.Conv1d(channels, channels, 5, padding=2)
+        self.second = zeroed(nn.Conv1d(channels, channels, 5, padding=2))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, L) -> the same shape."""
+        changed: Tensor = self.second(functional.relu(self.first(x)))
+        return x + changed
+
+
+def _levels(relative: Tensor, known: Tensor) -> Tensor:
+    """Mean, least, most, spread and known part of segments of range, (N, 5 segments, BEARINGS)."""
+    x = relative.unflatten(1, (SEGMENTS, -1))
+    is_known = known.unflatten(1, (SEGMENTS, -1))
+    count = is_known.sum(2).clamp_min(1)
+    mean = x.sum(2) / count
+    least = (x + _BRIGHTEST * (1 - is_known)).amin(2)
+    most = x.amax(2)
+    variance = (x.square().sum(2) / count - mean.square()).clamp_min(0)
+    roots = [torch.sqrt(values + 1e-4) for values in (mean, least, most)]
+    return torch.cat([*roots, torch.sqrt(variance + 1e-4), is_known.mean(2)], dim=1)
+
+
+def _shared_fluctuation(relative: Tensor, known: Tensor) -> Tensor:
+    """Correlation along range with neighbouring bearings, (N, zones x lags x 2, BEARINGS)."""
+    padded = functional.pad(relative[:, None], (0, 0, _TREND_ROWS // 2, _TREND_ROWS // 2))
+    trend = functional.avg_pool2d(padded, (_TREND_ROWS, 1), stride=1)[:, 0]
+    rough = ((relative - trend) * known).unflatten(1, (_ZONES, -1))
+    power = rough.square().mean(2) + 1e-4
+    correlations = []
+    for lag in _LAGS:
+        product = (rough[..., lag:] * rough[..., :-lag]).mean(2)
+        shared = product / torch.sqrt(power[..., lag:] * power[..., :-lag])
+        correlations += [functional.pad(shared, (0, lag)), functional.pad(shared, (lag, 0))]
+    return torch.cat(correlations, dim=1)
+
+
+def at_pixels(nodes: Tensor, sector: Tensor, range_fraction: Tensor, azimuth_rad: Tensor) -> Tensor:
+    """(N, 1, H, W) of what the head states, at pixels with these maps.
+
+    sector: (N, 4), as of `bearing_view.Sector`.  See `bearing_view.interference_at`.
+    """
+    near, far, left, right = (sector[:, n, None, None, None] for n in range(4))
+    # Nodes lie on the limits of range; `grid_sample` has them half a step inside.
+    down = (2 * (range_fraction - near) / (far - near) - 1) * (NODES - 1) / NODES
+    across = 2 * (azimuth_rad - left) / (right - left) - 1
+    places = torch.cat([across, down], dim=1).permute(0, 2, 3, 1)
+    with torch.autocast(nodes.device.type, enabled=False):
+        return functional.grid_sample(
+            nodes.float()[:, None], places.float(), padding_mode="border", align_corners=False
+        )
+
+
+def interference_loss(nodes: Tensor, truth: Tensor) -> Tensor:
+    """How far the head is from the interference that is there, scalar.
+
+    nodes: as of `BearingHead`.  truth: (N, SEGMENTS, BEARINGS), as of `bearing_view.segment_means`.
+    """
+    # Linear interpolation between the nodes at the middle of each segment.
+    stated = functional.interpolate(
+        nodes[:, None], (2 * SEGMENTS + 1, BEARINGS), mode="bilinear", align_corners=True
+    )[:, 0, 1::2]
+    error = stated - truth
+    deviation = (error.square().mean(dim=(1, 2)) + 1e-8).sqrt().mean()
+    return deviation + 2 * error.abs().mean()
