@@ -235,7 +235,7 @@ class OnnxNetwork:
             content = self._forms[form]
             used = used_weights(self._weights, content)
             if form == "whole":
-                # All but those of the head that is a graph of its own: weights that do not fit show.
+                # All that are not of a graph of their own: weights that do not fit show.
                 used = {
                     name: values
                     for name, values in self._weights.items()

@@ -1,4 +1,4 @@
-"""The one loop of training and adapting: steps, their average, checks, and a wish to stop."""
+"""The one loop of all trainings: steps, their average, checks, and a wish to stop."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Any, cast
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
 from ...factory.common.array_types import Float32s
@@ -33,8 +33,7 @@ SAVE_EVERY_S = 120.0
 """Time between two checkpoints, seconds, where checks are further apart."""
 
 Row = dict[str, float | int]
-Objective = Callable[[Network, Batch], Tensor]
-"""The loss of a batch of crops, differentiable in the weights of the network."""
+Module = TypeVar("Module", bound=nn.Module)
 Batches = Callable[[int], Iterator[Batch]]
 """Steps done -> the batches of those up to the next check."""
 Check = Callable[[int, float], Row]
@@ -53,24 +52,27 @@ class Stopped(KeyboardInterrupt):
         self.exit_code = 128 + number
 
 
-class TrainingLoop:
+class TrainingLoop(Generic[Module]):
     """Takes the steps that the settings say and checks `average` every `check_every` of them.
 
+    network: any module.  objective: the loss of a batch, differentiable in its weights.
     average: the network with the running average of its weights, in evaluation mode.
     step: steps done.  rows: of the checks done.
+    falls_from: part of the steps after which the learning rate falls.
     save: keeps `state()` on disk; called after every check, every `SAVE_EVERY_S` seconds, and when
     the loop is stopped by Ctrl-C or SIGTERM; None keeps nothing.
     """
 
     def __init__(
         self,
-        network: Network,
-        objective: Objective,
+        network: Module,
+        objective: Callable[[Module, Batch], Tensor],
         settings: TrainSettings,
         seed: int,
         device: torch.device,
         *,
         label: str = "training",
+        falls_from: float = 0.0,
         save: Callable[[], None] | None = None,
     ) -> None:
         self.network = channels_last(network).to(device)
@@ -79,10 +81,11 @@ class TrainingLoop:
         self.seed = seed
         self.device = device
         self.label = label
+        self.falls_from = falls_from
         self.save = save
         self._is_mixed = settings.precision == "bf16-mixed"
         self._averaged = AveragedModel(network, multi_avg_fn=running_average(settings.ema))
-        self.average = cast(Network, self._averaged.requires_grad_(False).eval().module)
+        self.average = cast(Module, self._averaged.requires_grad_(False).eval().module)
         self.step = 0
         self.rows: list[Row] = []
         self._losses: list[Tensor] = []  # since the last check
@@ -143,11 +146,12 @@ class TrainingLoop:
         return torch.autocast(self.device.type, torch.bfloat16, enabled=self._is_mixed)
 
     def learning_rate(self) -> float:
-        """Learning rate of the next step: a linear warm-up and a cosine decay to zero."""
+        """Learning rate of the next step: a linear warm-up and, at last, a cosine decay to zero."""
         steps = self.settings.steps
         warmup = self.settings.warmup
         step = self.step
-        done = min(1.0, (step - warmup) / max(1, steps - warmup))
+        first = max(warmup, self.falls_from * steps)
+        done = min(max(0.0, step - first) / max(1, steps - first), 1.0)
         cosine = 0.5 * (1 + math.cos(math.pi * done))
         return self.settings.learning_rate * (
             (step + 1) / (warmup + 1) if step < warmup else cosine

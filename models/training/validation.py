@@ -11,6 +11,7 @@ from ...factory.common.errors import FactoryError
 from ...factory.dataset.quality import psnr_db, ssim
 from ..data.crops import whole_image
 from ..data.pairs import Data
+from ..networks.network import Network
 from .loop import Row, TrainingLoop, denoised
 
 _FIGURES = ("psnr_noisy", "psnr", "ssim_noisy", "ssim")
@@ -21,7 +22,7 @@ def best_row(rows: Sequence[Row]) -> Row:
     return max(rows, key=lambda row: row["psnr"])
 
 
-def validate(loop: TrainingLoop, data: Data) -> dict[str, float]:
+def validate(loop: TrainingLoop[Network], data: Data) -> dict[str, float]:
     """Means of the figures over the validation images, one at a time: whole and of any size.
 
     Raises FactoryError where one of these is not a number.
