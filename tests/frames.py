@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from simnfnd.factory.dataset.frame_ref import FrameRef
-from simnfnd.factory.dataset.labels import CLASSES
+from simnfnd.factory.dataset.meaning import CLASSES
 from simnfnd.factory.simulation.frames.frame import Frame, Intrinsics
 from simnfnd.factory.simulation.render.base import Rendered
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
-from ...factory.dataset.labels import classes_of
+from ...factory.dataset.meaning import classes_of
 from ...factory.dataset.pair_dataset import PairDataset
 from ...factory.dataset.reader import Split
 from ...factory.dataset.schema import stored_image

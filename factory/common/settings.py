@@ -18,7 +18,7 @@ from .errors import MOST_LISTED, FactoryError
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 
 ClassName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,39}$")]
-"""What the user may call a class of objects; see `labels`."""
+"""What the user may call a class of objects; see `meaning`."""
 
 T = TypeVar("T")
 

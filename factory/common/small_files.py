@@ -1,13 +1,17 @@
-"""Small untrusted files: regular ones of bounded size, safely parsed."""
+"""Small untrusted files: regular ones of bounded size, safely parsed; lines of numbers."""
 
 from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
+
+from .errors import FactoryError
 
 MOST_BYTES = 1 << 28
 """Of a file that is read whole; a manifest of 300,000 shards takes half of it."""
@@ -72,3 +76,42 @@ def one_line(error: BaseException, most: int = 160) -> str:
     """What an error says, in one line of bounded length."""
     reason = error.strerror if isinstance(error, OSError) else None
     return " ".join((reason or str(error)).split())[:most]
+
+
+# --- text files of numbers
+
+
+def numbered_lines(path: Path) -> list[tuple[int, str]]:
+    """(line number, text) of the lines that are neither empty nor comments (`#`).
+
+    Raises FactoryError when the file cannot be read, or is no text.
+    """
+    return [(number, line) for number, line in text_lines(path) if not line.startswith("#")]
+
+
+def text_lines(path: Path) -> list[tuple[int, str]]:
+    """(line number, text) of the lines that are not empty; see `numbered_lines`."""
+    try:
+        text = read_regular(path).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FactoryError(
+            f"{path}: not a text file that can be read ({one_line(error)})"
+        ) from error
+    numbered = enumerate((line.strip() for line in text.splitlines()), start=1)
+    return [(number, line) for number, line in numbered if line]
+
+
+def numbers_in(path: Path, numbered_line: tuple[int, str], names: Iterable[str]) -> list[float]:
+    """The finite numbers of a line, one for each name.  Raises FactoryError that names the line."""
+    number, line = numbered_line
+    expected = list(names)
+    try:
+        numbers = [float(word) for word in line.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(expected) or not all(map(math.isfinite, numbers)):
+        raise FactoryError(
+            f"{path}:{number}: expected {len(expected)} numbers, {' '.join(expected)}, got "
+            f"{line[:60]!r}"
+        )
+    return numbers

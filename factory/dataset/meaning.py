@@ -1,12 +1,12 @@
-"""What numbers of a dataset mean, in words: grey values, and rows and columns in metres.
+"""What numbers of a dataset mean: classes of labels; in words grey values, rows and columns.
 
 The text goes into shards, cards and exports, so that the files are enough to use them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, get_args
 
 Formation = Literal["pointwise", "coherent", ""]
 
@@ -101,3 +101,29 @@ def pixel_meaning(
         "range_m = hypot(ahead_m, right_m); bearing = atan2(right_m, ahead_m). "
         "Rows and columns count from 0 at the top left."
     )
+
+
+# --- classes of labels
+
+ObjectName = Literal[
+    "Bottle", "Can", "Chain", "Drink-carton", "Hook", "Propeller", "Shampoo-bottle",
+    "Standing-bottle", "Tire", "Valve", "Wall", "Boulder", "Pipe", "Pillar", "Frame", "Anchor",
+    "Block", "Coral", "Plant", "Barrel",
+]  # fmt: skip
+
+# 0 to 11 are those of the Marine Debris Dataset; ground is 0.
+CLASSES: tuple[str, ...] = ("Background", *get_args(ObjectName))
+
+
+FITTING = "Fitting"
+"""What belongs to a place and is no object to be found, such as a rope: a class without numbers."""
+
+
+def class_names(own: Iterable[str]) -> tuple[str, ...]:
+    """CLASSES and, from their end on, the classes of the user's own objects."""
+    return tuple(dict.fromkeys((*CLASSES, *own)))
+
+
+def classes_of(config: Mapping[str, Any]) -> tuple[str, ...]:
+    """The class names of a dataset, from the settings in its shards."""
+    return class_names(config.get("classes", ()))

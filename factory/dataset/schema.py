@@ -20,8 +20,7 @@ import numpy as np
 from ..common.array_types import Array, Bools, Float32s, Float64s
 from ..common.errors import FactoryError, FrameError
 from .frame_ref import FrameRef
-from .labels import CLASSES
-from .meaning import Formation, grey_meaning
+from .meaning import CLASSES, Formation, grey_meaning
 
 if TYPE_CHECKING:
     from .fan_geometry import FanGeometry
@@ -173,7 +172,7 @@ def layers(
     """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32).
 
     optional: names of further layers, in any order; they come out in that of the format.
-    classes: of the dataset, see `simnfnd.factory.dataset.labels.classes_of`.
+    classes: of the dataset, see `simnfnd.factory.dataset.meaning.classes_of`.
     Raises FactoryError for one that the format does not know.
     """
     wanted = sorted(optional)

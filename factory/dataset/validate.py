@@ -24,7 +24,6 @@ from ..common.errors import MOST_LISTED, FactoryError
 from ..common.files import is_temporary, sha256_of
 from ..common.isolated import LASTING, LIMIT_S
 from .folder import CARD_NAME, PREVIEW_NAME, STATUS_NAME, WORK_NAME
-from .labels import classes_of
 from .layout import check_texts, config_of, image_axes, optional_layers
 from .manifest import (
     CONFIG_NAME,
@@ -37,6 +36,7 @@ from .manifest import (
     load_manifest,
     totals_problem,
 )
+from .meaning import classes_of
 from .reader import ImageStack, reading
 from .schema import CHECKSUMS, REQUIRED_COLUMNS, SPLITS, Layer, config_hash, layers
 from .storage import Store, url_of

@@ -24,9 +24,9 @@ from isal import isal_zlib
 from ..common.array_types import Array
 from ..common.errors import FrameError
 from ..common.files import explain_os_errors, write_atomically
-from .labels import classes_of
 from .layout import config_of, crc32, image_axes, optional_layers, write_checksums
 from .manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
+from .meaning import classes_of
 from .reader import reading
 from .schema import (
     ROOT_ATTRIBUTES,

@@ -17,7 +17,7 @@ from ...dataset.pair_dataset import PairDataset
 from .notes import describe_fields, write_notes
 from .object_selection import ClassList, ObjectSelection
 from .objects import ExportedObjects, has_labels, survey_objects, visible_objects
-from .png_encoding import encode_png, fits_png
+from .png import encode_png, fits_png
 from .samples import ExportedSample, divide_into_files, flat_name
 
 # The hub reads whole row groups to show one row.

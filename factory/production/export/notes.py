@@ -11,8 +11,7 @@ import numpy as np
 from ...common.array_types import Float64s
 from ...dataset.card import source_terms, stated_licence
 from ...dataset.folder import dataset_settings
-from ...dataset.labels import classes_of
-from ...dataset.meaning import grey_meaning, pixel_meaning
+from ...dataset.meaning import classes_of, grey_meaning, pixel_meaning
 from ...dataset.pair_dataset import PairDataset
 from ...dataset.schema import CORE
 from ...dataset.schema import layers as known_layers

@@ -16,12 +16,12 @@ import numpy as np
 from ...common.array_types import Array, Bools
 from ...common.errors import FactoryError
 from ...dataset.fan_geometry import FanGeometry, recorded_sonar
-from ...dataset.labels import classes_of
+from ...dataset.meaning import classes_of
 from ...dataset.pair_dataset import PairDataset
 from ...dataset.schema import stored_image
 from .object_boxes import Box, ObjectPlace, box_of_object, box_with_shadow, parse_places
 from .object_selection import ClassList, ObjectSelection
-from .png_encoding import encode_png
+from .png import encode_png
 from .samples import ExportedSample, read_samples
 
 MIN_OBJECT_PX = 8

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import FactoryError
-from ...dataset.labels import classes_of
+from ...dataset.meaning import classes_of
 from ...dataset.pair_dataset import PairDataset
 from ...dataset.reader import Split
 from ...dataset.recordings import FrameSequence, Track, parse_tracks
@@ -21,7 +21,7 @@ from ...dataset.schema import stored_image
 from .coco import IdCounters, describe_file, list_categories, write_annotations
 from .notes import write_notes
 from .object_selection import ClassList, ObjectSelection
-from .png_encoding import encode_png
+from .png import encode_png
 
 _DEFAULT_RATE_HZ = 1.0
 

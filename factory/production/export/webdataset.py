@@ -11,7 +11,7 @@ import numpy as np
 from ...common.array_types import Array
 from ...dataset.pair_dataset import PairDataset
 from .notes import write_notes
-from .png_encoding import encode_png, fits_png
+from .png import encode_png, fits_png
 from .samples import ExportedSample, divide_into_files
 
 # A loader of WebDataset gives each worker tars of its own.

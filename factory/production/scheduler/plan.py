@@ -10,18 +10,21 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...common.errors import FactoryError
+from ...common.files import write_atomically
 from ...common.progress import RunReporter
+from ...common.small_files import open_regular, parse_json, read_regular
 from ...common.workers.settings import SchedulerSettings, ShardSlice
 from ...dataset.folder import WORK_NAME
 from ...dataset.frame_ref import FrameRef
 from ...dataset.schema import SPLITS, PairSource, Preparer, Provenance
 from ...dataset.settings import DatasetSettings
-from .input_digests import InputDigests
 
 if TYPE_CHECKING:
     from .lock import Publication
@@ -119,6 +122,43 @@ class DatasetJob(Recipe):
         """The part that workers need, wherever they run."""
         values = {field.name: getattr(self, field.name) for field in fields(Recipe)}
         return Recipe(**{**values, "directory": Path(os.path.abspath(self.directory))})
+
+
+class InputDigests:
+    """SHA-256 digests of files; a file is read again when its size, times or inode differ.
+
+    The time of change counts, too: tools may set the time of modification, but not this one.
+    """
+
+    def __init__(self, table_path: Path | None) -> None:
+        """table_path: where they are kept; None keeps none.  A damaged table counts for nothing."""
+        self._table_path = table_path
+        self._stored: dict[str, str] = {}
+        self._used: dict[str, str] = {}
+        if table_path is not None:
+            with suppress(OSError, ValueError, TypeError):
+                self._stored = dict(parse_json(read_regular(table_path)))
+
+    def digest(self, path: str) -> str:
+        """32 hexadecimal digits of a file's content; empty for a file that cannot be read."""
+        with suppress(OSError), open_regular(Path(path)) as file:
+            status = os.fstat(file.fileno())
+            times = f"{status.st_mtime_ns} {status.st_ctime_ns}"
+            state = f"{os.path.abspath(path)} {status.st_size} {times} {status.st_ino}"
+            digest = self._stored.get(state)
+            if digest is None:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()[:32]  # type: ignore[arg-type]
+            self._used[state] = digest
+            return digest
+        return ""
+
+    def save(self) -> None:
+        """Keep those of this run, where the folder can be written."""
+        if self._table_path is None or self._used == self._stored:
+            return
+        text = json.dumps(self._used, separators=(",", ":"))
+        with suppress(FactoryError):
+            write_atomically(self._table_path, text.encode(), durable=False)
 
 
 def with_inputs(

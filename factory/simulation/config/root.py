@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass
 from ...common.errors import FactoryError
 from ...common.settings import STRICT, build
 from ...common.workers.settings import SchedulerSettings, ShardSlice
-from ...dataset.labels import class_names
+from ...dataset.meaning import class_names
 from ...dataset.schema import CAMERA_LAYERS
 from ...dataset.settings import DatasetSettings
 from ..devices.settings import DeviceSettings

@@ -11,7 +11,7 @@ import numpy as np
 from ...common import seeds
 from ...common.distribution import number
 from ...dataset.fan_geometry import FEWEST_BINS, POINTS_HFOV_DEG, fan_size
-from ...dataset.labels import class_names
+from ...dataset.meaning import class_names
 from ...dataset.schema import Column
 from ..imaging.coherent import CoherentScene
 from ..imaging.effect import EffectSettings

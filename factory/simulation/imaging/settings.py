@@ -15,7 +15,7 @@ from ...common.distribution import PositiveFraction, parse
 from ...common.errors import FactoryError
 from ...common.settings import STRICT
 from ...common.small_files import one_line, read_regular
-from ...dataset.labels import CLASSES, class_names
+from ...dataset.meaning import CLASSES, class_names
 from ..scenes.base import OwnClass
 
 Decibel = Annotated[float, Field(ge=-80, le=20)]
@@ -66,7 +66,7 @@ class CoherentSettings:
     tvg_absorption: bool = True
 
     def of_classes(self) -> list[tuple[float, float]]:
-        """Backscatter coefficient and Lambert's exponent of each of `labels.class_names`.
+        """Backscatter coefficient and Lambert's exponent of each of `meaning.class_names`.
 
         The user's classes are those in `reflectivity_db` that are not in CLASSES, in order.
         """
@@ -118,7 +118,7 @@ def with_materials(
 ) -> CoherentSettings:
     """The settings with a reflectivity for each of the user's classes, in the order of `classes`.
 
-    classes: those of `labels.class_names`.  own: what they say wins over the keys, and what
+    classes: those of `meaning.class_names`.  own: what they say wins over the keys, and what
     `acoustics.materials` says over both.  Raises FactoryError.
     """
     echo_db = dict(acoustics.reflectivity_db)

@@ -18,7 +18,7 @@ from ...common.array_types import Bools, Float32s, Float64s, UInt8s, UInt16s
 from ...common.distribution import Distribution
 from ...common.errors import FactoryError
 from ...common.seeds import stream
-from ...common.text_tables import numbered_lines, numbers_in
+from ...common.small_files import numbered_lines, numbers_in
 from ..frames.frame import BOX_FIELDS
 from .triangle_mesh import Mesh, grid_triangles, join, vertex_normals
 

@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...common.array_types import Float32s, Float64s, Int32s, Int64s
+from ...common.array_types import Colour, Float32s, Float64s, Int32s, Int64s
 from ...common.errors import FactoryError
-from .arrays import Colour
 from .concave_faces import cut_concave_faces
 from .painted import linear_albedo, paint_surface, read_image, unit_colours
 

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
-from ...common.array_types import Float32s, Float64s, Int32s
-from .arrays import Colour, Draws
+from ...common.array_types import Colour, Draws, Float32s, Float64s, Int32s
 from .waves import Waves
 
 GREY: Colour = (0.5, 0.5, 0.5)

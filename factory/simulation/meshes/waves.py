@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ...common.array_types import Float32s
-from .arrays import Draws
+from ...common.array_types import Draws, Float32s
 
 
 class Waves:

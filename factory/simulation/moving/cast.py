@@ -10,12 +10,11 @@ from typing import Literal
 import numpy as np
 
 from ...common import seeds
-from ...common.array_types import Float64s, Floats
+from ...common.array_types import Draws, Float64s, Floats
 from ...common.errors import FactoryError
 from ...dataset.frame_ref import FrameRef
-from ...dataset.labels import class_names
+from ...dataset.meaning import class_names
 from ..frames.frame import Surroundings
-from ..meshes.arrays import Draws
 from ..meshes.triangle_mesh import Mesh
 from ..scenes.moving import Moving, MovingObject, waypoints
 from ..scenes.seabed import OwnObject, RecordingSettings

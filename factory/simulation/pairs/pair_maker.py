@@ -21,7 +21,7 @@ from ...common.array_types import Array, Bools, Float32s, UInt16s
 from ...common.errors import FrameError
 from ...dataset.fan_geometry import FanGeometry
 from ...dataset.frame_ref import FrameRef
-from ...dataset.labels import class_names
+from ...dataset.meaning import class_names
 from ...dataset.schema import Axis, Column, Pair
 from ..config.selection import choose_frames
 from ..devices import draw as devices

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ...common.array_types import Float64s
-from ...dataset.labels import class_names
+from ...dataset.meaning import class_names
 from ...dataset.schema import Column
 from ..frames.frame import Frame
 from ..imaging.settings import CoherentSettings

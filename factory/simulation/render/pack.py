@@ -42,7 +42,7 @@ class Contents(NamedTuple):
     """The content of a pack.
 
     members: in the order of the frames.  render: what made the renders.  digest: of all frames
-    and views.  classes: of the user's own objects, see `labels.class_names`.
+    and views.  classes: of the user's own objects, see `meaning.class_names`.
     """
 
     members: Mapping[FrameRef, Member]

@@ -36,7 +36,7 @@ Root = Annotated[str, AfterValidator(_required_path)]
 class OwnClass:
     """The properties of a class of objects that the user states.
 
-    class: what it is called in labels; a name of `labels.CLASSES`, or a new one.
+    class: what it is called in labels; a name of `meaning.CLASSES`, or a new one.
     reflectivity_db, lambert_exponent: see `AcousticsSettings`; None: not said here.
     """
 
@@ -77,7 +77,7 @@ class SceneSettings:
         return False
 
     def own_classes(self) -> tuple[str, ...]:
-        """Names of the user's own classes, beside `labels.CLASSES` or among them."""
+        """Names of the user's own classes, beside `meaning.CLASSES` or among them."""
         return tuple(own_class.label for own_class in self.own())
 
 

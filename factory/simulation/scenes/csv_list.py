@@ -25,7 +25,7 @@ from ...common.errors import MOST_LISTED, FactoryError, FrameError
 from ...common.files import shortened
 from ...common.limits import limited
 from ...common.settings import STRICT
-from ...common.text_tables import numbered_lines
+from ...common.small_files import numbered_lines
 from ...dataset.frame_ref import FrameRef
 from ..frames.frame import Frame, Intrinsics
 from .base import LONGEST_NAME, BadDepth, Discovery, Root, SceneSettings, discovery

@@ -32,7 +32,7 @@ from ...common.limits import limited
 from ...common.seeds import stream
 from ...common.settings import STRICT
 from ...dataset.frame_ref import FrameRef
-from ...dataset.labels import class_names
+from ...dataset.meaning import class_names
 from ..frames.frame import (
     GROUND_STEP_M,
     GROUND_STEPS,

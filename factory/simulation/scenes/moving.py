@@ -21,8 +21,8 @@ from ...common.array_types import Float64s
 from ...common.distribution import Distribution, number, parse
 from ...common.errors import FactoryError
 from ...common.settings import STRICT, ClassName
-from ...common.text_tables import numbered_lines, numbers_in
-from ...dataset.labels import ObjectName
+from ...common.small_files import numbered_lines, numbers_in
+from ...dataset.meaning import ObjectName
 from .base import OwnClass, Root
 
 FASTEST_M_S = 30.0

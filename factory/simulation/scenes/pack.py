@@ -89,7 +89,7 @@ class PackIndex(NamedTuple):
 
     members: in the order of the frames.  mount, render: settings, not yet validated.
     digest: of all frames and views.
-    classes: of the user's own objects, see `labels.class_names`.
+    classes: of the user's own objects, see `meaning.class_names`.
     """
 
     members: Mapping[FrameRef, Member]

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...common.array_types import Float64s
 from ...common.errors import FactoryError
-from ...common.text_tables import numbered_lines, numbers_in, text_lines
+from ...common.small_files import numbered_lines, numbers_in, text_lines
 
 _COLUMNS = ("time", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 _SECONDS = {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.dataset.labels import CLASSES
 from simnfnd.factory.dataset.manifest import damage
+from simnfnd.factory.dataset.meaning import CLASSES
 from simnfnd.factory.dataset.schema import OPTIONAL_LAYERS, ROOT_ATTRIBUTES, layers
 from simnfnd.factory.simulation.noise.registry import NoiseSettings
 from simnfnd.factory.simulation.pairs.requested_columns import requested

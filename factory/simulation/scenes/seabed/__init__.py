@@ -20,7 +20,7 @@ from ....common.errors import FactoryError
 from ....common.limits import limited
 from ....common.settings import STRICT
 from ....dataset.frame_ref import FrameRef
-from ....dataset.labels import FITTING, ObjectName, class_names
+from ....dataset.meaning import FITTING, ObjectName, class_names
 from ...frames.frame import Frame, checked
 from ...meshes.camera import Stance, movements
 from ...meshes.camera import camera as optics_of

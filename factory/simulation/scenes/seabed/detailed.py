@@ -13,9 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....common.array_types import Float64s
+from ....common.array_types import Draws, Float64s
 from ....common.seeds import stream
-from ...meshes.arrays import Draws
 from ...meshes.camera import WORLD_SEED
 from ...meshes.triangle_mesh import (
     Mesh,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...meshes.arrays import Draws
+from ....common.array_types import Draws
 from ...meshes.triangle_mesh import Mesh, bars, box, circle, join, lathe, sheet, tube
 from .terrain import pick
 from .things import CONCRETE, PAINTS, RUST, STEEL, curve

@@ -16,9 +16,8 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from ....common.array_types import Float32s, Float64s, Floats, Int32s
+from ....common.array_types import Colour, Draws, Float32s, Float64s, Floats, Int32s
 from ....common.seeds import stream
-from ...meshes.arrays import Colour, Draws
 from ...meshes.camera import WORLD_SEED
 from ...meshes.waves import Waves
 from ..moving import FARTHEST_M

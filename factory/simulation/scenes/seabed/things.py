@@ -14,9 +14,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from ....common.array_types import Float32s, Float64s
+from ....common.array_types import Draws, Float32s, Float64s
 from ....common.seeds import stream
-from ...meshes.arrays import Draws
 from ...meshes.camera import WORLD_SEED
 from ...meshes.triangle_mesh import (
     Mesh,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....common.array_types import Array, Bools, Float32s, Float64s, Floats, UInt8s
+from ....common.array_types import Array, Bools, Draws, Float32s, Float64s, Floats, UInt8s
 from ....common.seeds import stream
 from ....dataset.frame_ref import FrameRef
 from ...frames.frame import (
@@ -18,7 +18,6 @@ from ...frames.frame import (
     Intrinsics,
     Surroundings,
 )
-from ...meshes.arrays import Draws
 from ...meshes.camera import WORLD_SEED, Optics, Pose, Stance, ZBuffer, camera, centred, moved, pose
 from ...meshes.triangle_mesh import grid_triangles
 from ..flsea import CALIBRATED_SIZE

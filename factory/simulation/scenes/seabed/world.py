@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ....common.array_types import Float64s
+from ....common.array_types import Draws, Float64s
 from ....common.seeds import stream
-from ....dataset.labels import CLASSES, FITTING, class_names
-from ...meshes.arrays import Draws
+from ....dataset.meaning import CLASSES, FITTING, class_names
 from ...meshes.camera import WORLD_SEED, Objects
 from ...meshes.triangle_mesh import Mesh, mesh, rotation
 from ...meshes.waves import Waves
@@ -155,7 +154,7 @@ class SeabedWorld:
     density: factor on how many things there are.  kinds: only these; None: all.  own: the user's
     objects, put there when all else lies there.  finishes: (N, 3) of each, see `places.yaml`.
     first_own: number in `objects.instances` from which on they are the user's own.
-    classes: names of the classes, see `labels.class_names`.
+    classes: names of the classes, see `meaning.class_names`.
     """
 
     def __init__(

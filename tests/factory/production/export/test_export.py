@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.dataset.labels import CLASSES
+from simnfnd.factory.dataset.meaning import CLASSES
 from simnfnd.factory.production.export import FORMATS, export
 from simnfnd.factory.production.export.objects import MIN_OBJECT_PX
 from simnfnd.factory.production.export.yolo import join_outlines, trace_outlines

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from simnfnd.factory.production.scheduler.input_digests import InputDigests
+from simnfnd.factory.production.scheduler.plan import InputDigests
 
 
 def test_unchanged_files_are_not_read_again(

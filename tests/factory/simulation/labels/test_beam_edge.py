@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset.frame_ref import FrameRef
-from simnfnd.factory.dataset.labels import CLASSES
+from simnfnd.factory.dataset.meaning import CLASSES
 from simnfnd.factory.dataset.schema import Pair
 from simnfnd.factory.production.export.object_boxes import (
     box_of_object,

@@ -13,7 +13,7 @@ import pytest
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.frame_ref import FrameRef
-from simnfnd.factory.dataset.labels import ObjectName
+from simnfnd.factory.dataset.meaning import ObjectName
 from simnfnd.factory.simulation.config.root import FactoryConfig
 from simnfnd.factory.simulation.imaging.coherent import CoherentScene, received
 from simnfnd.factory.simulation.meshes.camera import movements

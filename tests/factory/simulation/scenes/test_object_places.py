@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset.frame_ref import FrameRef
-from simnfnd.factory.dataset.labels import CLASSES, FITTING
+from simnfnd.factory.dataset.meaning import CLASSES, FITTING
 from simnfnd.factory.simulation.meshes.triangle_mesh import box
 from simnfnd.factory.simulation.scenes.seabed import SeabedReader, SeabedSettings, detailed
 from simnfnd.factory.simulation.scenes.seabed.world import Own, SeabedWorld

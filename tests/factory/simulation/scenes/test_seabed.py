@@ -15,7 +15,7 @@ from simnfnd.factory.common.array_types import Float64s
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.frame_ref import FrameRef
-from simnfnd.factory.dataset.labels import CLASSES
+from simnfnd.factory.dataset.meaning import CLASSES
 from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.identity import identity
 from simnfnd.factory.simulation.config.root import from_mapping
