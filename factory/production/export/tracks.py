@@ -28,6 +28,9 @@ _DEFAULT_RATE_HZ = 1.0
 MIN_SIDE_PX = 4
 """One pixel more or less halves the overlap of narrower boxes, by which trackers are judged."""
 
+_MEASURES = ("range_m", "bearing_deg", "length_m", "body_bearing_deg")
+"""What gt/tracks.csv says of an object in a frame; empty where an older dataset lacks it."""
+
 _MOT_CLASS = 1
 """MOTChallenge judges this class alone, and results have no class."""
 
@@ -148,7 +151,8 @@ def _unused_name(folder: Path, recording: str) -> str:
 
 
 def write_mot(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> str:
-    """SPLIT/RECORDING/img1/NNNNNN.png, gt/gt.txt, gt/classes.csv and seqinfo.ini.
+    """SPLIT/RECORDING/img1/NNNNNN.png, gt/gt.txt, gt/classes.csv, gt/tracks.csv and
+    seqinfo.ini.
 
     A line of gt.txt: frame (from 1), id, left, top (from 1), width, height, 1, class, visibility.
     Format: Milan et al., MOT16, arXiv 1603.00831.  Every object has class 1, the only one that
@@ -182,6 +186,7 @@ def _write_mot_sequence(
     (place / "img1").mkdir(parents=True)
     (place / "gt").mkdir()
     lines = []
+    truth: list[tuple[Any, ...]] = []
     class_names: dict[int, str] = {}
     for frame_number, tracks in enumerate(sequence.tracks, start=1):
         image = stored_image(sequence.noisy[frame_number - 1], "uint8")
@@ -189,11 +194,17 @@ def _write_mot_sequence(
         for track in exported.shown(tracks):
             lines.append(_mot_line(frame_number, track, numbers[track["class"]]))
             class_names[track["id"]] = track["class"]
+            measures = (track.get(name, "") for name in _MEASURES)
+            truth.append((frame_number, track["id"], *measures))
     (place / "gt" / "gt.txt").write_text("".join(lines))
-    with (place / "gt" / "classes.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerows([("id", "class"), *sorted(class_names.items())])
+    _write_csv(place / "gt" / "classes.csv", [("id", "class"), *sorted(class_names.items())])
+    _write_csv(place / "gt" / "tracks.csv", [("frame", "id", *_MEASURES), *truth])
     (place / "seqinfo.ini").write_text(_sequence_info(sequence, name))
+
+
+def _write_csv(path: Path, rows: list[tuple[Any, ...]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def _mot_line(frame_number: int, track: Track, class_number: int) -> str:
@@ -306,7 +317,8 @@ class _Document:
 _MOT_NOTES = """\
 `SPLIT/RECORDING/` is a sequence of the MOTChallenge: `img1/000001.png` and so on, `seqinfo.ini`,
 and `gt/gt.txt` with lines of frame, id, left, top, width, height, 1, class, visibility. Frames and
-pixels count from 1. `gt/classes.csv` names the class of each id. TrackEval at its defaults judges
+pixels count from 1. `gt/classes.csv` names the class of each id, `gt/tracks.csv` gives range, bearing, length and
+body axis in each frame. TrackEval at its defaults judges
 class 1 (its "pedestrian"), which all objects have unless `--classes` named classes; with several
 numbers, set its `DO_PREPROC False` to judge them together.
 """

@@ -48,6 +48,11 @@ class Actor:
     length_m: float
     strength: Literal["love", "material"] | float
 
+    @property
+    def body_length_m(self) -> float:
+        """Extent at rest along its own axis ahead."""
+        return self.length_m or float(np.ptp(self.mesh.vertices[:, 0]))
+
     def target_strength_db(self, frequency_khz: float) -> float | None:
         """Target strength of the whole object, dB; None where its material decides."""
         if self.strength == "material":

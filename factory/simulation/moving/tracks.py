@@ -30,7 +30,9 @@ TRACKS = (
         "",
         "JSON list of the moving objects that are there: id, class; position_m of the middle and "
         "velocity_m_s over ground (ahead, left, up) in the sonar's axes; range_m and bearing_deg "
-        "(right is positive) of its echo, of its middle where none arrives; box (left, top, width, "
+        "(right is positive) of its echo, of its middle where none arrives; length_m along its body "
+        "axis at rest, and body_bearing_deg of that axis, tail to head, in the sonar's level plane "
+        "(right is positive, 0 looks away from the sonar); box (left, top, width, "
         "height) in pixels of the image, null without an echo; target_strength_db, null where the "
         "material decides; insonified, part of its outline that echoes; occluded, part that "
         "something nearer hides",
@@ -57,6 +59,7 @@ def tracks_row(lit: LitSurface, frequency_khz: float) -> dict[str, float | str]:
             "class": body.actor.class_name,
             **_motion(body, lit),
             **_echo(lit, heard, own),
+            "length_m": round(body.actor.body_length_m, 4),
             "target_strength_db": _rounded(body.actor.target_strength_db(frequency_khz), 2),
             "insonified": round(min(len(own) / alone_px, 1.0), 3),
             "occluded": round(min(int(moving.hidden_px[number]) / alone_px, 1.0), 3),
@@ -68,7 +71,7 @@ def tracks_row(lit: LitSurface, frequency_khz: float) -> dict[str, float | str]:
     if len(text) > TRACKS_BYTES:
         raise FrameError(
             f"{lit.frame.ref.name}: {len(tracks)} moving objects; the column tracks holds about "
-            f"{TRACKS_BYTES // 250}"
+            f"{TRACKS_BYTES // 295}"
         )
     return {"tracks": text}
 
@@ -123,9 +126,11 @@ def _motion(body: PosedBody, lit: LitSurface) -> dict[str, Any]:
     position_m = turn @ (camera_m - mount.position_camera_m())
     velocity = velocity_m_s(body.actor.course, body.time_s)
     sonar_velocity = turn @ (camera_from_world[:3, :3] @ velocity)
+    axis = turn @ (camera_from_world[:3, :3] @ body.placement.world_from_own[:, 0])
     return {
         "position_m": [_rounded(value, 4) for value in position_m.tolist()],
         "velocity_m_s": [_rounded(value, 4) for value in sonar_velocity.tolist()],
+        "body_bearing_deg": round(math.degrees(math.atan2(-axis[1], axis[0])), 2),
     }
 
 

@@ -130,7 +130,7 @@ class MovingObject(OwnClass):
             raise ValueError(f"moving.target_strength: love is of fish, not of {self.object}")
 
 
-TRACKS_BYTES = 24_576
+TRACKS_BYTES = 29_696
 """Size of a value of the column tracks, which lists the moving objects of a frame as JSON."""
 
 
@@ -144,6 +144,8 @@ def largest_track_bytes(class_name: str) -> int:
         "velocity_m_s": [-99.9999, -99.9999, -99.9999],
         "range_m": -far,
         "bearing_deg": -180.123,
+        "length_m": 99.9999,
+        "body_bearing_deg": -179.99,
         "box": [9999, 9999, 9999, 9999],
         "target_strength_db": -99.99,
         "insonified": 0.123,

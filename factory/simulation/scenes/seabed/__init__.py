@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ...meshes.triangle_mesh import Mesh
     from .world import SeabedWorld
 
-GENERATOR = 3
+GENERATOR = 4
 """Version of the frames: changes with their bytes, and is part of the names of cached renders."""
 _LARGEST_M = 15.0  # of own objects; what is larger is in millimetres
 _Share = Annotated[float, Field(ge=0, le=1)]

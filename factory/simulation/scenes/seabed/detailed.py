@@ -37,7 +37,7 @@ Builder = Callable[[Draws], Mesh]
 
 _PALE = (0.72, 0.72, 0.70)
 _METALS = (RUST, RUST, STEEL)
-_MODELS = 40
+_MODELS = 96
 """Models of a class, each turned, scaled and tinted anew wherever it lies."""
 
 
@@ -164,23 +164,6 @@ def laid_chain(rng: Draws) -> Mesh:
     return join(runs).standing()
 
 
-def doubled_chain(rng: Draws) -> Mesh:
-    """A heavy chain that lies in loops side by side: a broad band."""
-    wire = float(rng.uniform(0.012, 0.026))
-    length = rng.uniform(0.5, 1.3)
-    lanes = int(rng.integers(2, 5))
-    apart = wire * rng.uniform(3.0, 5.0)
-    bend = rng.uniform(-0.35, 0.35)
-    points = []
-    for lane in range(lanes):
-        along = np.linspace(-0.5, 0.5, 24) * length * (1 if lane % 2 else -1)
-        across = (
-            lane * apart + bend * (along / length) ** 2 * length + rng.normal(0, 0.3 * wire, 24)
-        )
-        points.append(np.column_stack([along, across, np.full(24, 1.3 * wire)]))
-    return _linked(rng, np.concatenate(points), wire).standing()
-
-
 def loose_chain(rng: Draws) -> Mesh:
     """A heavy chain as it falls: it runs to and fro, with ground between the runs."""
     wire = float(rng.uniform(0.014, 0.032))
@@ -219,6 +202,25 @@ def tailed_chain(rng: Draws) -> Mesh:
     line = np.concatenate(points)
     level = np.full(len(line), 1.3 * wire)
     return _linked(rng, np.column_stack([line, level]), wire).standing()
+
+
+def branched_chain(rng: Draws) -> Mesh:
+    """A long heavy chain in two or three arms, of one or two strands, that meet in a knot."""
+    wire = float(rng.uniform(0.014, 0.03))
+    first = rng.uniform(0, 2 * np.pi)
+    points = []
+    for arm in range(int(rng.integers(2, 4))):
+        length = rng.uniform(0.35, 1.0)
+        count = int(length / 0.05)
+        heading = first + arm * rng.uniform(1.4, 2.6)
+        turns = np.interp(np.arange(count), np.linspace(0, count, 5), rng.normal(0, 0.3, 5))
+        steps = 0.05 * np.column_stack([np.cos(heading + turns), np.sin(heading + turns)])
+        outward = np.cumsum(steps, axis=0)
+        strand_side = np.array([-np.sin(heading), np.cos(heading)]) * wire * rng.uniform(1.5, 4)
+        # The chain runs out along an arm and back beside itself.
+        points += [outward, outward[::-1] + strand_side * (rng.random() < 0.6)]
+    line = np.concatenate(points)
+    return _linked(rng, np.column_stack([line, np.full(len(line), 1.3 * wire)]), wire).standing()
 
 
 def chain_heap(rng: Draws) -> Mesh:
@@ -273,6 +275,31 @@ def _helicoid_blade(rng: Draws, pitch: float, hub: float, half_angle: float) -> 
     return join(
         sheet(np.stack([x, y, z + side * thick], axis=-1), turned=side < 0) for side in (1.0, -1.0)
     )
+
+
+def outlined_screw(rng: Draws) -> Mesh:
+    """A propeller as its hub and the rims of its blades.
+
+    A smooth blade throws sound away from the sonar; its rim and its root echo, as oval loops.
+    """
+    radius = rng.uniform(0.11, 0.2)
+    blades = int(rng.choice([2, 3, 3, 3, 4]))
+    thick = rng.uniform(0.025, 0.055)
+    angle = circle(26)
+    loop = np.column_stack(
+        [0.62 + 0.4 * angle[:, 0], rng.uniform(0.2, 0.32) * angle[:, 1], 0.25 * angle[:, 1]]
+    )
+    parts = [
+        tube(loop, thick, 6, closed=True).turned("z", 2 * np.pi * k / blades) for k in range(blades)
+    ]
+    hub = rng.uniform(0.14, 0.24)
+    profile = [[0, -0.3], [0.8, -0.3], [1, 0], [0.7, 0.3], [0, 0.4]]
+    parts.append(lathe(np.array(profile) * [hub, rng.uniform(0.8, 1.6)], 14))
+    if rng.random() < 0.5:
+        parts.append(tube(np.array([[0, 0, 0], [0, 0, -rng.uniform(0.5, 1.5)]]), 0.08, 8))
+    whole = join(parts).moved(scale=radius).tinted(pick(rng, (BRONZE, STEEL, RUST)))
+    lean = rng.choice([0.0, 0.3, 1.2, np.pi / 2], p=[0.4, 0.2, 0.15, 0.25])
+    return whole.turned("zx", rng.uniform(0, 6.3), lean + rng.uniform(-0.15, 0.15)).standing()
 
 
 def outboard(rng: Draws) -> Mesh:
@@ -365,6 +392,25 @@ def striped_bottle(rng: Draws) -> Mesh:
     return whole.turned("z", rng.uniform(0, 6.3)).standing()
 
 
+def outlined_bottle(rng: Draws) -> Mesh:
+    """A large bottle on its side as its outline: two long edges that meet at the neck."""
+    length = rng.uniform(0.2, 0.36)
+    radius = rng.uniform(0.035, 0.075)
+    thick = rng.uniform(0.004, 0.009)
+    neck = radius * rng.uniform(0.15, 0.4)
+    shoulder = length * rng.uniform(0.15, 0.6)
+    sides = []
+    for side in (-1.0, 1.0):
+        edge = [[0, side * radius, 0], [shoulder, side * radius, 0], [length, side * neck, 0]]
+        sides.append(tube(np.array(edge), thick, 6))
+    ends = [((0, -radius, 0), (0, radius, 0)), ((length, -neck, 0), (length, neck, 0))]
+    parts = [*sides, bars(ends[: int(rng.integers(1, 3))], thick, 6)]
+    if rng.random() < 0.4:
+        parts.append(bars([((0.1 * length, 0, radius), (0.8 * length, 0, radius))], thick, 6))
+    whole = join(parts).tinted(pick(rng, GLASS))
+    return whole.turned("x", rng.uniform(-0.3, 0.3)).turned("z", rng.uniform(0, 6.3)).standing()
+
+
 def _hoop(x: float, radius: float, thick: float) -> Mesh:
     """A ring around the x axis."""
     ring = circle(20)[:, [2, 0, 1]] * radius
@@ -397,6 +443,16 @@ def upright_jar(rng: Draws) -> Mesh:
     return lathe(
         np.array(profile) * [radius, height], 26, pick(rng, (*GLASS, PAINTS[3])), crease=True
     )
+
+
+def slender_bottle(rng: Draws) -> Mesh:
+    """A narrow plastic bottle that stands or leans: it echoes little and casts a long shadow."""
+    height = rng.uniform(0.19, 0.32)
+    radius = height * rng.uniform(0.09, 0.14)
+    profile = [[0, 0], [1, 0], [1, 0.7], [0.8, 0.82], [0.4, 0.88], [0.4, 1], [0, 1]]
+    whole = lathe(np.array(profile) * [radius, height], 24, pick(rng, PAINTS))
+    flat = whole.moved(scale=(1, rng.uniform(0.5, 1.0), 1))
+    return flat.turned("y", rng.normal(0, 0.1)).standing()
 
 
 def shampoo(rng: Draws) -> Mesh:
@@ -456,6 +512,26 @@ def lined_tin(rng: Draws) -> Mesh:
     return whole.turned("y", turn).standing()
 
 
+def barred_tin(rng: Draws) -> Mesh:
+    """A tin on its side as two to four bars across: its front, its back and seams between."""
+    width = rng.uniform(0.09, 0.19)
+    depth = rng.uniform(0.06, 0.17)
+    thick = rng.uniform(0.004, 0.01)
+    count = int(rng.integers(2, 5))
+    across = []
+    for number in range(count):
+        y = depth * (number / (count - 1) - 0.5)
+        z = rng.uniform(0, 0.4) * width * np.sin(np.pi * (number + 0.5) / count)
+        half = width / 2 * rng.uniform(0.85, 1.0)
+        across.append(((-half, y, z), (half, y, z)))
+    parts = [bars(across, thick, 6)]
+    if rng.random() < 0.6:
+        corners = [((x, -depth / 2, 0), (x, depth / 2, 0)) for x in (-width / 2, width / 2)]
+        parts.append(bars(corners[: int(rng.integers(1, 3))], 0.6 * thick, 6))
+    # Seen broadside more often than not: the bars lie across the view.
+    return join(parts).tinted(pick(rng, (STEEL, PAINTS[3]))).standing()
+
+
 def drink_can(rng: Draws) -> Mesh:
     """A can of a drink, dented, lying more often than not."""
     radius = rng.uniform(0.03, 0.038)
@@ -493,6 +569,25 @@ def brick_carton(rng: Draws) -> Mesh:
     whole = _pushed(rng, join([brick, fold, lid.moved((0.25 * size[0], 0, size[2]))]), 0.006)
     turn = rng.choice([0.0, np.pi / 2], p=[0.35, 0.65])
     return whole.turned("y", turn).standing()
+
+
+def cornered_carton(rng: Draws) -> Mesh:
+    """A brick that stands on an edge or leans on a corner: two bright faces, as of an arrowhead."""
+    size = rng.uniform([0.07, 0.05, 0.1], [0.11, 0.08, 0.19])
+    brick = box(size.tolist(), (0, 0, 0), pick(rng, PAINTS))
+    whole = _pushed(rng, brick, 0.006)
+    turned = whole.turned("xy", rng.uniform(0.3, 1.2), rng.choice([0.0, np.pi / 2, 0.6]))
+    return turned.standing()
+
+
+def open_carton(rng: Draws) -> Mesh:
+    """A carton cut open: four walls around a hollow, on their edges."""
+    length, width, height = rng.uniform([0.09, 0.07, 0.04], [0.15, 0.12, 0.09]).tolist()
+    wall = 0.006
+    parts = [box((length, wall, height), (0, y, height / 2)) for y in (-width / 2, width / 2)]
+    parts += [box((wall, width, height), (x, 0, height / 2)) for x in (-length / 2, length / 2)]
+    whole = join(parts).tinted(pick(rng, PAINTS))
+    return whole.turned("x", rng.uniform(-0.4, 0.4)).standing()
 
 
 def _pushed(rng: Draws, shape: Mesh, depth_m: float) -> Mesh:
@@ -558,6 +653,21 @@ def snap_hook(rng: Draws) -> Mesh:
     return join(parts).tinted(pick(rng, (STEEL, RUST, BRONZE))).standing()
 
 
+def lumpy_hook(rng: Draws) -> Mesh:
+    """A hook with its tackle: a thick bend with shackles, bolts and links all along it."""
+    size = rng.uniform(0.09, 0.17)
+    angle = np.linspace(0, rng.uniform(2.2, 4.0), 18)
+    bend = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(18)]) * 0.6
+    straight = np.linspace(rng.uniform(0.8, 1.8), 0, 8)[:, None] * [[0.15, -1.0, 0]] + bend[0]
+    line = np.concatenate([straight[:-1], bend]) * size
+    parts = [tube(line, size * rng.uniform(0.12, 0.2), 9)]
+    for place in rng.integers(0, len(line), int(rng.integers(3, 9))):
+        knob = sphere(1).moved(scale=size * rng.uniform(0.15, 0.3))
+        parts.append(knob.moved(line[place] + rng.normal(0, 0.12 * size, 3)))
+    whole = join(parts).tinted(pick(rng, _METALS))
+    return whole.turned("x", rng.choice([0.0, 0.5, 1.3]) + rng.uniform(-0.2, 0.2)).standing()
+
+
 # --- valves -----------------------------------------------------------------------------------
 
 
@@ -611,6 +721,22 @@ def crossed_bars(rng: Draws) -> Mesh:
     return join([bars(ends, thick, 7), hub]).tinted(pick(rng, (STEEL, RUST, BRONZE))).standing()
 
 
+def hubbed_cross(rng: Draws) -> Mesh:
+    """Two thin bars that cross at a thick hub, their ends bent up; flat, or upright on two ends."""
+    reach = rng.uniform(0.1, 0.19)
+    thick = rng.uniform(0.004, 0.009)
+    opening = rng.uniform(0.6, 1.6)
+    first = rng.uniform(0, np.pi)
+    parts = [sphere(2).moved(scale=reach * rng.uniform(0.14, 0.28))]
+    for angle in (first, first + opening):
+        along = np.array([np.cos(angle), np.sin(angle), 0.0]) * reach
+        upward = np.array([0, 0, rng.uniform(0, 0.2) * reach])
+        line = np.array([upward - 1.08 * along, -along, along, upward + 1.08 * along])
+        parts.append(tube(line, thick, 7))
+    whole = join(parts).tinted(pick(rng, (STEEL, RUST, BRONZE)))
+    return whole.turned("x", rng.choice([0.0, 0.0, 0.3, np.pi / 2])).standing()
+
+
 def ball_valve(rng: Draws) -> Mesh:
     """A ball valve between flanges, with its lever."""
     size = rng.uniform(0.05, 0.11)
@@ -627,17 +753,19 @@ def ball_valve(rng: Draws) -> Mesh:
 
 
 BUILDERS: dict[str, tuple[Builder, ...]] = {
-    "Bottle": (*[striped_bottle] * 4, lined_bottle, lined_bottle, lying_bottle, flask),
-    "Standing-bottle": (upright_bottle, upright_bottle, upright_jar),
-    "Shampoo-bottle": (shampoo, shampoo, shampoo, things.shampoo_bottle),
-    "Can": (lined_tin, lined_tin, lined_tin, tin, tin, drink_can, things.can),
-    "Drink-carton": (gable_carton, brick_carton),
-    "Hook": (crane_hook, crane_hook, grapnel, snap_hook, things.hook),
-    "Propeller": (screw, screw, screw, outboard),
+    "Bottle": (*[striped_bottle] * 5, *[outlined_bottle] * 2, lined_bottle, lying_bottle, flask),
+    "Standing-bottle": (upright_bottle, upright_bottle, slender_bottle, upright_jar),
+    "Shampoo-bottle": (*[slender_bottle] * 4, shampoo, shampoo, things.shampoo_bottle),
+    "Can": (*[barred_tin] * 4, lined_tin, lined_tin, lined_tin, tin, drink_can, things.can),
+    "Drink-carton": (gable_carton, brick_carton, *[cornered_carton] * 3, open_carton),
+    "Hook": (crane_hook, crane_hook, crane_hook, *[lumpy_hook] * 3, grapnel, snap_hook),
+    "Propeller": (*[outlined_screw] * 4, screw, screw, screw, outboard),
     "Tire": (car_tyre, car_tyre, car_tyre, car_tyre, inner_tube),
-    "Valve": (hand_wheel, cross_valve, crossed_bars, crossed_bars, ball_valve, things.valve),
-    "Chain": (*[tailed_chain] * 4, *[loose_chain] * 5, laid_chain, doubled_chain, chain_heap),
-}
+    "Valve": (*[hubbed_cross] * 5, crossed_bars, crossed_bars, cross_valve, hand_wheel, ball_valve),
+    "Chain": (
+        *[branched_chain] * 5, *[tailed_chain] * 3, *[loose_chain] * 3, laid_chain, chain_heap,
+    ),
+}  # fmt: skip
 """Class -> its builders; a builder that is listed twice is drawn twice as often."""
 
 

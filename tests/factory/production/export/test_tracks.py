@@ -133,6 +133,11 @@ def test_mot_has_a_line_for_each_box(swims, tmp_path):
     assert lines[0].tolist() == [1, 1, 1, 3, 5, 4, 1, 1, 0.75]  # from 1, of box 0, 2, 5, 4
     assert not {3, 4} & set(lines[:, 0])  # no echo, and a narrow one
     assert (place / "gt/classes.csv").read_text() == "id,class\n1,Fish\n2,Ray\n"
+    # Datasets of earlier versions state no length and no axis.
+    truth = (place / "gt/tracks.csv").read_text().splitlines()
+    assert truth[0] == "frame,id,range_m,bearing_deg,length_m,body_bearing_deg"
+    assert len(truth) == BOXES + 1
+    assert truth[1].endswith(",,")
     assert mot_challenge_accuracy(place / "gt/gt.txt", len(FRAMES)) == 1
     info = configparser.ConfigParser()
     info.read(place / "seqinfo.ini")

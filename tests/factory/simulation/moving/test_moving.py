@@ -83,6 +83,18 @@ def test_tracks_match_the_brightest_cell():
         assert track["target_strength_db"] == -25
 
 
+def test_tracks_state_the_length_and_the_axis_of_a_body():
+    moving = {"kind": "seabed", "frame_rate_hz": 10, "moving_objects": [{}]}
+    config = settings(acoustics=SILENT_GROUND, scenes=moving, dataset={"columns": ["tracks"]})
+    plank = ball(Line((4.0, 0.0, 0.0), turn_rad_s=0.5), mesh=slab((0.6, 0.1, 0.05)), length_m=0.0)
+    for time_s, bearing_deg in ((0.0, 0.0), (1.0, -np.rad2deg(0.5))):
+        observed = observe_moment(moment([plank], time_s), config)
+        (track,) = json.loads(str(observed.columns["tracks"]))
+        assert track["length_m"] == pytest.approx(0.6, abs=1e-3)
+        # A body that turns to the left points to negative bearings.
+        assert track["body_bearing_deg"] == pytest.approx(bearing_deg, abs=0.01)
+
+
 def test_an_object_throws_a_shadow_and_may_be_hidden():
     config = settings()
     low = ball(Line((3.0, 0.0, -1.2)), 0.15)
