@@ -13,10 +13,11 @@ import numpy as np
 from ...factory.common.errors import FactoryError
 from ...factory.common.progress import stage
 from ...models.detection import find_detector
-from ...models.detection.detector import Detections, detect
+from ...models.detection.detector import Detections, detect_in
 from ...models.detection.images import UNKNOWN, WorkingImage, scale_image
+from ...models.detection.runtime import DetectorRuntime
 from ...models.detection.training import BatchShare, Schedule, train_detector
-from ...models.detection.weights import TrainedDetector, load_detector
+from ...models.detection.weights import TrainedDetector, load_detector, read_facts
 from ..judging.settings import TransferReportSettings
 from .blobs import detect_blobs
 from .coco import RealImages
@@ -78,7 +79,7 @@ class Comparison:
         if {"simulation", "both"} & set(settings.arms):
             self.trained = self.train_simulated()
         if "simulation" in settings.arms and self.trained is not None:
-            detections = self._find(self.trained, range(len(self.working)))
+            detections = self._find(self.trained.path, range(len(self.working)))
             about = f"{len(self.simulated)} simulated images"
             yield Arm(SIMULATION, about, self._countable(detections))
         for share in settings.shares:
@@ -90,9 +91,8 @@ class Comparison:
     def _given(self, name: str) -> Arm:
         """The arm of a detector that was trained before."""
         path = find_detector(name)
-        self.trained = load_detector(path)
-        detections = self._find(self.trained, range(len(self.working)))
-        about = str(self.trained.training.get("about", "not stated"))
+        detections = self._find(path, range(len(self.working)))
+        about = str(read_facts(path).training.get("about", "not stated"))
         return Arm(f"detector {path.stem}", about, self._countable(detections))
 
     def train_simulated(self) -> TrainedDetector:
@@ -127,7 +127,7 @@ class Comparison:
             counts.append(len(learned))
             stage(f"{label}: fold {number + 1} of {self.settings.folds}, {len(learned)} images")
             trained = self._train_real(learned, number, share, after_simulation)
-            detections_of_image |= dict(zip(judged, self._find(trained, judged), strict=True))
+            detections_of_image |= dict(zip(judged, self._find(trained.path, judged), strict=True))
         about = f"{min(counts)} to {max(counts)} real images"
         if after_simulation:
             about = f"{len(self.simulated)} simulated images, then {about} beside them"
@@ -158,14 +158,15 @@ class Comparison:
             label=f"fold {fold + 1}",
         )
 
-    def _find(self, trained: TrainedDetector, numbers: Sequence[int]) -> list[Detections]:
+    def _find(self, path: Path, numbers: Sequence[int]) -> list[Detections]:
         """Detections in some real images, with the labels of the real classes."""
+        detector = DetectorRuntime(path)
         own = {name: label for label, name in enumerate(self.real.classes)}
-        renumbered = np.array([own.get(name, UNKNOWN) for name in trained.classes], np.int64)
-        images = [self.real.images[number].labelled for number in numbers]
+        renumbered = np.array([own.get(name, UNKNOWN) for name in detector.facts.classes], np.int64)
+        images = [self.real.images[number].labelled.image for number in numbers]
         return [
             Detections(detections.boxes, detections.scores, renumbered[detections.labels])
-            for detections in detect(trained, images)
+            for detections in detect_in(detector, images)
         ]
 
     def _countable(self, detections: Sequence[Detections]) -> list[Detections]:

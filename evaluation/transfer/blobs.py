@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 
 from ...factory.common.array_types import Float32s
-from ...models.detection.augmentation import place_unchanged
 from ...models.detection.boxes import clip_boxes, suppress_duplicates
 from ...models.detection.detector import Detections, no_detections
-from ...models.detection.images import WorkingImage
+from ...models.detection.images import WorkingImage, network_input
 
 _SMOOTH_PX = 1.5
 _THRESHOLDS = (1.5, 2.2, 3.0)  # standard deviations of the smoothed image
@@ -34,7 +33,7 @@ def detect_blobs(images: Sequence[WorkingImage]) -> list[Detections]:
 def _detect_in(working: WorkingImage) -> Detections:
     height, width = working.labelled.image.shape
     shape = (height, width)
-    inputs, _, _ = place_unchanged(working, shape)
+    inputs = network_input(working, shape)
     smooth = _smoothed(inputs[0], inputs[2])
     candidates = [
         candidate for threshold in _THRESHOLDS for candidate in _areas_above(smooth, threshold)

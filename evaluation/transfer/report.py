@@ -11,7 +11,8 @@ import numpy as np
 from ...factory.common.array_types import Int64s
 from ...factory.common.files import check_writable
 from ...factory.common.plots import Curve, Plot, draw_plots
-from ...models.detection.detector import detect
+from ...models.detection.detector import detect_in
+from ...models.detection.runtime import DetectorRuntime
 from ...models.detection.training import DETECTOR_NAME
 from ..judging.settings import TransferReportSettings
 from ..metrics.statistics import FigureEstimate
@@ -285,7 +286,8 @@ def _simulated_figures(comparison: Comparison) -> Figures | None:
     held_out = [
         RealImage(working.labelled, working.labelled.boxes[:0]) for working in comparison.held_out
     ]
-    detections = detect(comparison.trained, [image.labelled for image in held_out])
+    detector = DetectorRuntime(comparison.trained.path)
+    detections = detect_in(detector, [image.labelled.image for image in held_out])
     figures, _ = figures_of(held_out, detections, None, np.zeros((0, len(held_out)), np.int64))
     return figures
 

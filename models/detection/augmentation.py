@@ -16,18 +16,6 @@ Generator = np.random.Generator
 _VISIBLE = 0.4  # an object keeps its box while so much of it is inside the image
 
 
-def place_unchanged(
-    working: WorkingImage, shape: tuple[int, int]
-) -> tuple[Float32s, Boxes, Int64s]:
-    """Network input (3, H, W), boxes and labels of an image in a corner of a canvas."""
-    image = np.zeros(shape, np.float32)
-    is_fan = np.zeros(shape, bool)
-    height, width = working.labelled.image.shape
-    image[:height, :width] = working.labelled.image / np.float32(255)
-    is_fan[:height, :width] = working.is_fan
-    return normalise(image, is_fan), working.labelled.boxes, working.labelled.labels
-
-
 def vary(
     working: WorkingImage, shape: tuple[int, int], rng: Generator, *, with_clutter: bool
 ) -> tuple[Float32s, Boxes, Int64s]:

@@ -1,19 +1,16 @@
-"""What a trained detector finds in images."""
+"""What a detector finds in images: the steps before and after its network, in NumPy.
+
+Training, `simnfnd evaluate transfer` and `simnfnd detect` share them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn import functional
 
 from ...factory.common.array_types import Bools, Float32s, Int64s, UInt8s
-from . import SHIPPED_NAME, find_detector
-from .augmentation import place_unchanged
 from .boxes import (
     Boxes,
     clip_boxes,
@@ -27,12 +24,16 @@ from .images import (
     WorkingImage,
     canvas_shape,
     find_fan,
+    network_input,
     reaches_far_end,
     scale_image,
 )
-from .network import DIVISOR, STRIDE, DetectorNetwork, Outputs
-from .weights import TrainedDetector, load_detector
+from .runtime import DetectorRuntime, RawOutputs
 
+STRIDE = 4
+"""Pixels of the image for each cell of the network's outputs."""
+DIVISOR = 16
+"""Sizes of images must divide by this."""
 _SIDES_PX = (112, 160, 288)
 """Longer sides at which an image is looked at: objects come in more sizes than a dataset has."""
 _USUAL_SIDE = 0.08  # of the longer side of the image: narrower detections count less
@@ -41,6 +42,8 @@ _MOST = 40  # detections in an image
 _LEAST_SCORE = 0.01
 _SAME_IOU = 0.45  # detections that overlap more are of one object
 _BATCH = 8
+
+Network = Callable[[Float32s], RawOutputs]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +57,9 @@ class Detections:
     scores: Float32s
     labels: Int64s
 
-
-class FoundObject(NamedTuple):
-    """An object that was found: its likeliest class, a score in 0..1, and its box in pixels."""
-
-    class_name: str
-    score: float
-    left: float
-    top: float
-    right: float
-    bottom: float
+    def chosen(self, index: Bools | Int64s) -> Detections:
+        """Some of them, by a mask or by their numbers."""
+        return Detections(self.boxes[index], self.scores[index], self.labels[index])
 
 
 def no_detections() -> Detections:
@@ -71,54 +67,55 @@ def no_detections() -> Detections:
     return Detections(no_boxes(), np.zeros(0, np.float32), np.zeros(0, np.int64))
 
 
-def find_objects(images: Sequence[UInt8s], detector: str = SHIPPED_NAME) -> list[list[FoundObject]]:
-    """What a detector finds in grey images, best first.
+def detect_in(detector: DetectorRuntime, images: Sequence[UInt8s]) -> list[Detections]:
+    """The objects in each grey image, in its own pixels; none lies mostly outside the fan.
 
-    images: (H, W) uint8 each, 0 outside the fan.  detector: a file that `simnfnd evaluate transfer`
-    wrote, or the name of the one that ships.  Raises FactoryError when there is no such detector.
+    images: (H, W) uint8 each, 0 outside the fan.  Every image is looked at in three sizes, each as
+    it is and mirrored.  Scores are probabilities where the detector was calibrated.
     """
-    trained = load_detector(find_detector(detector))
-    unlabelled = [
-        LabelledImage("", "", image, no_boxes(), np.zeros(0, np.int64)) for image in images
-    ]
+    by_size = [detect_at(detector, images, side_px) for side_px in _SIDES_PX]
     return [
-        [
-            FoundObject(trained.classes[label], float(score), *map(float, box))
-            for box, score, label in zip(
-                detections.boxes, detections.scores, detections.labels, strict=True
-            )
-        ]
-        for detections in detect(trained, unlabelled)
+        _finish(detector, image, _fuse(views))
+        for image, views in zip(images, zip(*by_size, strict=True), strict=True)
     ]
 
 
-def detect(trained: TrainedDetector, images: Sequence[LabelledImage]) -> list[Detections]:
-    """The objects in each image, in its own pixels.
-
-    Every image is looked at in three sizes, each as it is and mirrored.
-    """
-    by_size = [_detect_at(trained.network, images, side_px) for side_px in _SIDES_PX]
-    detections = []
-    for image, views in zip(images, zip(*by_size, strict=True), strict=True):
-        fused = _weigh(_fuse(views), find_fan(image.image))
-        margin_px = trained.margin * max(image.image.shape)
-        boxes = grow_boxes(fused.boxes, margin_px, *image.image.shape)
-        detections.append(Detections(boxes, fused.scores, fused.labels))
-    return detections
+def _finish(detector: DetectorRuntime, image: UInt8s, fused: Detections) -> Detections:
+    """Fused detections, weighed, calibrated, and without those outside the fan."""
+    is_fan = find_fan(image)
+    weighed = _weigh(fused, is_fan)
+    margin_px = detector.facts.margin * max(image.shape)
+    boxes = grow_boxes(weighed.boxes, margin_px, *image.shape)
+    scores = weighed.scores
+    if detector.facts.calibration is not None:
+        scores = np.asarray(detector.facts.calibration(scores), np.float32)
+    detections = Detections(boxes, scores, weighed.labels)
+    return detections.chosen(_middles_inside(boxes, is_fan))
 
 
-def _detect_at(
-    network: DetectorNetwork, images: Sequence[LabelledImage], side_px: int
-) -> list[Detections]:
+def _middles_inside(boxes: Boxes, is_fan: Bools) -> Bools:
+    """(N,) bool: whether the middle of each box lies in the fan."""
+    height, width = is_fan.shape
+    column = np.clip((boxes[:, 0] + boxes[:, 2]) / 2, 0, width - 1).astype(int)
+    row = np.clip((boxes[:, 1] + boxes[:, 3]) / 2, 0, height - 1).astype(int)
+    return np.asarray(is_fan[row, column])
+
+
+def detect_at(network: Network, images: Sequence[UInt8s], side_px: int) -> list[Detections]:
     """The objects in each image at one size; views and mirrored views are averaged."""
     detections: list[Detections] = []
     for start in range(0, len(images), _BATCH):
-        batch = [scale_image(image, side_px) for image in images[start : start + _BATCH]]
+        unlabelled = [
+            LabelledImage("", "", image, no_boxes(), np.zeros(0, np.int64))
+            for image in images[start : start + _BATCH]
+        ]
+        batch = [scale_image(image, side_px) for image in unlabelled]
         shape = canvas_shape(batch, DIVISOR)
-        inputs = np.stack([place_unchanged(working, shape)[0] for working in batch])
-        outputs = _with_mirror(network, torch.from_numpy(inputs))
+        inputs = np.stack([network_input(working, shape) for working in batch])
+        outputs = _with_mirror(network, inputs)
         for number, working in enumerate(batch):
-            detections.append(_decode(outputs, number, working))
+            one_image = RawOutputs(*(values[number] for values in outputs))
+            detections.append(decode(one_image, working))
     return detections
 
 
@@ -171,39 +168,51 @@ def _weigh(detections: Detections, is_fan: Bools) -> Detections:
     return Detections(boxes[order], scores[order], detections.labels[order])
 
 
-def _with_mirror(network: DetectorNetwork, inputs: Tensor) -> Outputs:
+def _with_mirror(network: Network, inputs: Float32s) -> RawOutputs:
     """Probabilities of centres and classes, and sides, averaged over both views."""
-    with torch.inference_mode():
-        plain = network(inputs.contiguous(memory_format=torch.channels_last))
-        mirrored = network(inputs.flip(-1).contiguous(memory_format=torch.channels_last))
-    centre = (plain.centre.sigmoid() + mirrored.centre.flip(-1).sigmoid()) / 2
+    plain = network(inputs)
+    mirrored = RawOutputs(*(values[..., ::-1] for values in network(inputs[..., ::-1].copy())))
+    centre = (_sigmoid(plain.centre) + _sigmoid(mirrored.centre)) / 2
     # Left and right change places.
-    sides = (plain.sides + mirrored.sides.flip(-1)[:, [2, 1, 0, 3]]) / 2
-    classes = (plain.classes.softmax(1) + mirrored.classes.flip(-1).softmax(1)) / 2
-    return Outputs(centre, sides, classes)
+    sides = (plain.sides + mirrored.sides[:, [2, 1, 0, 3]]) / 2
+    classes = (_softmax(plain.classes) + _softmax(mirrored.classes)) / 2
+    return RawOutputs(centre, sides, classes)
 
 
-def _decode(outputs: Outputs, number: int, working: WorkingImage) -> Detections:
-    """The peaks of the heat map of one image, as boxes of the original image."""
-    heat = outputs.centre[number : number + 1]
-    is_peak = functional.max_pool2d(heat, 3, stride=1, padding=1) == heat
-    scores, places = (heat * is_peak).flatten().topk(min(_MOST, heat.numel()))
-    is_found = scores >= _LEAST_SCORE
-    scores = scores[is_found]
-    places = places[is_found]
-    if not len(places):
+def _sigmoid(logits: Float32s) -> Float32s:
+    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -80, 80))), np.float32)
+
+
+def _softmax(logits: Float32s) -> Float32s:
+    powers = np.exp(logits - logits.max(axis=1, keepdims=True))
+    return np.asarray(powers / powers.sum(axis=1, keepdims=True), np.float32)
+
+
+def decode(outputs: RawOutputs, working: WorkingImage) -> Detections:
+    """The peaks of the heat map of one image, as boxes of the original image.
+
+    outputs: of one image, (1, h, w), (4, h, w) and (K, h, w), probabilities instead of logits.
+    """
+    heat = outputs.centre[0]
+    rows, columns = np.nonzero((_largest_around(heat) == heat) & (heat >= _LEAST_SCORE))
+    order = np.argsort(-heat[rows, columns], kind="stable")[:_MOST]
+    rows, columns = rows[order], columns[order]
+    if not len(rows):
         return no_detections()
-    columns = heat.shape[-1]
-    x = (places % columns).float() + 0.5
-    y = (places // columns).float() + 0.5
-    sides = outputs.sides[number].flatten(1)[:, places]
-    corners = torch.stack([x - sides[0], y - sides[1], x + sides[2], y + sides[3]], 1)
-    height, width = working.labelled.image.shape
-    boxes = clip_boxes(np.asarray((corners * STRIDE).numpy(), np.float32), height, width)
-    classes = outputs.classes[number].flatten(1)[:, places].argmax(0)
-    values = np.asarray(scores.numpy(), np.float32)
-    kept_numbers = suppress_duplicates(boxes, values, _SAME_IOU)
-    original_boxes = boxes[kept_numbers] / np.float32(working.scale)
-    return Detections(
-        original_boxes, values[kept_numbers], np.asarray(classes.numpy(), np.int64)[kept_numbers]
-    )
+    x = columns + np.float32(0.5)
+    y = rows + np.float32(0.5)
+    left, up, right, down = outputs.sides[:, rows, columns]
+    corners = np.stack([x - left, y - up, x + right, y + down], 1) * np.float32(STRIDE)
+    boxes = clip_boxes(corners, *working.labelled.image.shape)
+    scores = heat[rows, columns]
+    labels = outputs.classes[:, rows, columns].argmax(axis=0)
+    kept_numbers = suppress_duplicates(boxes, scores, _SAME_IOU)
+    scaled = boxes[kept_numbers] / np.float32(working.scale)
+    return Detections(scaled, scores[kept_numbers], labels[kept_numbers].astype(np.int64))
+
+
+def _largest_around(heat: Float32s) -> Float32s:
+    """(h, w): the largest of each cell and its eight neighbours."""
+    padded = np.pad(heat, 1, constant_values=-1)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
+    return np.asarray(windows.max(axis=(2, 3)), np.float32)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ...factory.common.array_types import Bools, Int64s, UInt8s
+from ...factory.common.array_types import Bools, Float32s, Int64s, UInt8s
 from .boxes import Boxes
+from .normalise import normalise
 
 SIDE_PX = 160
 """The longer side of an image that the detector learns from."""
@@ -94,3 +95,13 @@ def canvas_shape(images: Sequence[WorkingImage], stride: int) -> tuple[int, int]
     height = max(shape[0] for shape in shapes)
     width = max(shape[1] for shape in shapes)
     return -(-height // stride) * stride, -(-width // stride) * stride
+
+
+def network_input(working: WorkingImage, shape: tuple[int, int]) -> Float32s:
+    """Network input (3, H, W) of an image in the upper left corner of a canvas of this shape."""
+    image = np.zeros(shape, np.float32)
+    is_fan = np.zeros(shape, bool)
+    height, width = working.labelled.image.shape
+    image[:height, :width] = working.labelled.image / np.float32(255)
+    is_fan[:height, :width] = working.is_fan
+    return normalise(image, is_fan)

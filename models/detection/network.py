@@ -14,11 +14,6 @@ from torch.nn import functional
 
 from .normalise import CHANNELS
 
-STRIDE = 4
-"""Pixels of the image for each cell of the outputs."""
-DIVISOR = 16
-"""Sizes of images must divide by this."""
-
 _WIDTHS = (16, 24, 48, 80)  # channels at strides 2, 4, 8 and 16
 _HEAD = 32
 _RARE = -3.5  # logit of a centre before training: most cells hold none
@@ -67,14 +62,23 @@ class DetectorNetwork(nn.Module):
 
     def forward(self, x: Tensor) -> Outputs:
         """H and W must divide by DIVISOR."""
+        return self.split(self.heads(self.features(x)))
+
+    def features(self, x: Tensor) -> Tensor:
+        """(N, 3, H, W) -> what the heads look at, (N, C, H / STRIDE, W / STRIDE)."""
         quarter = self.quarter(self.stem(x))
         eighth = self.eighth(quarter)
         sixteenth = self.sixteenth(eighth)
         merged = self.merge_eighth(
             _enlarged(self.from_sixteenth(sixteenth)) + self.from_eighth(eighth)
         )
-        merged = self.merge_quarter(_enlarged(merged) + self.from_quarter(quarter))
-        values = self.heads(merged).float()
+        merged_quarter: Tensor = self.merge_quarter(_enlarged(merged) + self.from_quarter(quarter))
+        return merged_quarter
+
+    @staticmethod
+    def split(values: Tensor) -> Outputs:
+        """The outputs in the channels of the heads."""
+        values = values.float()
         sides = torch.exp(values[:, 1:5].clamp(-3, 5))
         return Outputs(values[:, :1], sides, values[:, 5:])
 

@@ -12,7 +12,8 @@ from torch.nn import functional
 from ...factory.common.array_types import Float32s, Int64s
 from .boxes import Boxes
 from .images import UNKNOWN
-from .network import STRIDE, Outputs
+from .detector import STRIDE
+from .network import Outputs
 
 _SPREAD = 0.13  # standard deviation of a centre's peak, as a share of the side of the box
 _TAUGHT = 0.45  # cells with at least this heat teach the sides and the class

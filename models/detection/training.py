@@ -21,9 +21,10 @@ from ...factory.common.progress import Bar
 from ...factory.common.seeds import stream
 from .augmentation import vary
 from .images import WorkingImage, canvas_shape
-from .network import DIVISOR, DetectorNetwork
+from .detector import DIVISOR
+from .network import DetectorNetwork
 from .objective import Targets, detection_loss, draw_targets
-from .weights import TrainedDetector, load_detector, read_header, save_detector
+from .weights import DetectorFacts, TrainedDetector, load_detector, read_facts, save_detector
 
 CHECKPOINT_NAME = "checkpoint.pt"
 DETECTOR_NAME = "detector.safetensors"
@@ -79,7 +80,7 @@ def train_detector(
     recipe = json.loads(json.dumps({"schedule": asdict(schedule), **facts}))
     detector_path = folder / DETECTOR_NAME
     if detector_path.is_file():
-        _refuse_other_recipe(folder, read_header(detector_path)["training"], recipe)
+        _refuse_other_recipe(folder, read_facts(detector_path).training, recipe)
         return load_detector(detector_path)
     if not all(source.images for source in sources):
         raise FactoryError("there are no images to learn from")
@@ -87,7 +88,7 @@ def train_detector(
     training.run(folder, recipe, label)
     training._copy_counts()
     average = training.average.eval()
-    save_detector(detector_path, TrainedDetector(average, tuple(classes), recipe))
+    save_detector(detector_path, average, DetectorFacts(tuple(classes), recipe))
     (folder / CHECKPOINT_NAME).unlink(missing_ok=True)
     # What is judged is what the file holds.
     return load_detector(detector_path)

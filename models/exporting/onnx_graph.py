@@ -361,13 +361,13 @@ def _content(graph: Graph, about: Mapping[str, object], bare: bool) -> bytes:
     model = onnx.load_model_from_string(_export_trace(graph, fold=not bare))
     for value in (*model.graph.input, *model.graph.output):
         value.doc_string = _DESCRIPTIONS.get(value.name, "")
-    _rename_values(model.graph)
+    number_values(model.graph)
     model.doc_string = "A denoiser for forward-looking sonar pictures, made by SimNFND."
     facts = {"geometry": graph.layout, "opset": OPSET, **about}
     onnx.helper.set_model_props(model, {key: str(value) for key, value in sorted(facts.items())})
     onnx.checker.check_model(model, full_check=True)
     if bare:
-        _remove_weights(model.graph, graph.state_dict().keys())
+        remove_weights(model.graph, graph.state_dict().keys())
     written: bytes = model.SerializeToString(deterministic=True)
     return written
 
@@ -402,7 +402,7 @@ def _export_trace(graph: Graph, fold: bool) -> bytes:
     return content.getvalue()
 
 
-def _rename_values(onnx_graph: Any) -> None:
+def number_values(onnx_graph: Any) -> None:
     """Number the values inside the graph in order.
 
     Their names depend on what this process has traced before.
@@ -417,7 +417,7 @@ def _rename_values(onnx_graph: Any) -> None:
     del onnx_graph.value_info[:]
 
 
-def _remove_weights(onnx_graph: Any, names: Collection[str]) -> None:
+def remove_weights(onnx_graph: Any, names: Collection[str]) -> None:
     """Declare the weights external; whoever opens the file supplies them by their names."""
     import onnx
 
