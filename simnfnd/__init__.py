@@ -4,7 +4,7 @@
 
 PairDataset reads a dataset (numpy and h5py are enough), `make_dataset` makes one, `make_pair` makes
 a pair of an RGBD frame in memory.  `denoise` takes an image in memory, `Denoiser` the frames of a
-live sonar; `open_recording` reads the frames of a sonar's recording (docs/python.md).  What a
+live sonar; `detect` and `Detector` find objects in them; `open_recording` reads the frames of a sonar's recording (docs/python.md).  What a
 caller can correct is a FactoryError, one line; a frame that cannot be used is a FrameError.
 
 Each name is imported when it is first used, so `import simnfnd` costs nothing.
@@ -20,6 +20,7 @@ from .rooms import search_path
 
 if TYPE_CHECKING:
     from .api import OpenRecording, RecordedFrame, denoise, open_recording
+    from .detecting import Detector, detect
     from .factory import __version__
     from .factory.common.errors import FactoryError, FrameError
     from .factory.common.progress import RunProgress
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from .live import Denoiser
     from .making import DatasetResult, make_dataset, make_pair
     from .models.data.pair_stream import PairStream
+    from .models.detection.objects import DetectedObject
     from .models.recordings.base import Beams
 
 __path__ = search_path(Path(__file__).parent)
@@ -37,6 +39,8 @@ __all__ = [
     "Beams",
     "DatasetResult",
     "Denoiser",
+    "DetectedObject",
+    "Detector",
     "FactoryError",
     "FanGeometry",
     "FrameError",
@@ -48,6 +52,7 @@ __all__ = [
     "RunProgress",
     "__version__",
     "denoise",
+    "detect",
     "make_dataset",
     "make_pair",
     "open_recording",
@@ -57,6 +62,8 @@ _MODULES = {
     "Beams": "models.recordings.base",
     "DatasetResult": "making",
     "Denoiser": "live",
+    "DetectedObject": "models.detection.objects",
+    "Detector": "detecting",
     "FactoryError": "factory.common.errors",
     "FanGeometry": "factory.dataset.fan_geometry",
     "FrameError": "factory.common.errors",
@@ -68,6 +75,7 @@ _MODULES = {
     "RunProgress": "factory.common.progress",
     "__version__": "factory",
     "denoise": "api",
+    "detect": "detecting",
     "make_dataset": "making",
     "make_pair": "making",
     "open_recording": "api",

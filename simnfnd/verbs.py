@@ -140,6 +140,16 @@ VERBS: dict[str, Verb] = {
         ),
         needs=_NETWORK,
     ),
+    "detect": Verb(
+        DENOISE, "find objects in images, videos, recordings and bags; COCO, a table, overlays",
+        "simnfnd.models.detection.command:main",
+        (
+            "simnfnd detect dive.aris --out outputs/found",
+            "simnfnd detect image.png --out outputs/found --overlay",
+            "simnfnd detect mdd/Images --out outputs/found --threshold 0.3 --classes Tire,Bottle",
+        ),
+        needs=_NETWORK,
+    ),
     "adapt": Verb(
         DENOISE, "fit weights to your own recordings, without ground truth",
         "simnfnd.models.adapting.command:main",

@@ -49,10 +49,13 @@ class Entry:
 class Journal:
     """The finished files of an output folder; see `opened_journal`."""
 
-    def __init__(self, out: Path, command: object) -> None:
-        """command: all that decides on the bytes of results but for the inputs, of JSON's types."""
+    def __init__(self, out: Path, command: object, verb: str = "denoise") -> None:
+        """command: all that decides on the bytes of results but for the inputs, of JSON's types.
+
+        verb: of the command line, whose journal this is.
+        """
         self._out = out
-        self._path = out / JOURNAL_NAME
+        self._path = out / JOURNAL_NAME.replace("denoise", verb)
         self._command = json.dumps(command, sort_keys=True)
         self._entries = self._read()
         self._keys: dict[Path, str] = {}
@@ -175,12 +178,12 @@ def _state_of_files(files: Iterable[Path]) -> str:
 
 
 @contextmanager
-def opened_journal(out: Path, command: object) -> Iterator[Journal]:
+def opened_journal(out: Path, command: object, verb: str = "denoise") -> Iterator[Journal]:
     """The journal of an output folder, in which no other run writes within the block.
 
-    command: see `Journal`.  Raises FactoryError when another run does.
+    command, verb: see `Journal`.  Raises FactoryError when another run does.
     """
-    path = out / LOCK_NAME
+    path = out / LOCK_NAME.replace("denoise", verb)
     lock = FileLock(path)
     is_locked = False
     try:
@@ -189,12 +192,12 @@ def opened_journal(out: Path, command: object) -> Iterator[Journal]:
         path.write_text(str(os.getpid()), encoding="ascii")
     except Timeout:
         raise FactoryError(
-            f"--out {out}: process {_owner(path)} is denoising into this folder; wait for it, or "
+            f"--out {out}: process {_owner(path)} is writing into this folder; wait for it, or "
             "give another --out"
         ) from None
     except OSError:
         pass  # a file system without locks
-    journal = Journal(out, command)
+    journal = Journal(out, command, verb)
     try:
         yield journal
     finally:
