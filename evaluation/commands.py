@@ -54,11 +54,11 @@ def real(words: Sequence[str]) -> int:
     return run_app(_real, "real", _named(words, "real"), RealSettings)
 
 
-def detect(words: Sequence[str]) -> int:
-    """`simnfnd evaluate detect RECORDING... [KEY=VALUE ...]`."""
-    from .judging.settings import DetectSettings
+def targets(words: Sequence[str]) -> int:
+    """`simnfnd evaluate targets RECORDING... [KEY=VALUE ...]`."""
+    from .judging.settings import TargetsSettings
 
-    return run_app(_detect, "detect", _named(_as_keys(words), None, "recordings"), DetectSettings)
+    return run_app(_targets, "targets", _named(_as_keys(words), None, "recordings"), TargetsSettings)
 
 
 def transfer(words: Sequence[str]) -> int:
@@ -217,12 +217,12 @@ def _real(config: DictConfig) -> None:
     evaluate(settings)
 
 
-def _detect(config: DictConfig) -> None:
-    from .judging.settings import DetectSettings
+def _targets(config: DictConfig) -> None:
+    from .judging.settings import TargetsSettings
 
-    settings = _checked(config, DetectSettings, recordings="a static recording or several")
+    settings = _checked(config, TargetsSettings, recordings="a static recording or several")
     require(_needs("models=", settings.models))
-    from .detect.report import evaluate
+    from .targets.report import evaluate
 
     evaluate(settings)
 

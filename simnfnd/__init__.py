@@ -4,8 +4,9 @@
 
 PairDataset reads a dataset (numpy and h5py are enough), `make_dataset` makes one, `make_pair` makes
 a pair of an RGBD frame in memory.  `denoise` takes an image in memory, `Denoiser` the frames of a
-live sonar; `detect` and `Detector` find objects in them; `open_recording` reads the frames of a sonar's recording (docs/python.md).  What a
-caller can correct is a FactoryError, one line; a frame that cannot be used is a FrameError.
+live sonar; `detect` and `Detector` find objects in them.  `open_recording` reads the frames of a
+sonar's recording (docs/python.md).  What a caller can correct is a FactoryError, one line; a frame
+that cannot be used is a FrameError.
 
 Each name is imported when it is first used, so `import simnfnd` costs nothing.
 """

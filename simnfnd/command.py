@@ -19,7 +19,7 @@ from .factory.common.errors import FactoryError
 from .factory.common.extras import EXTRAS, Need, install_command, require
 from .factory.simulation.config.hydra_loader import config_folders, take_config_folders
 from .factory.simulation.config.key_help import key_help
-from .verbs import VERBS, Verb
+from .verbs import RENAMED, VERBS, Verb
 
 _HELP = ("-h", "--help")
 # Not imported from the factory: help and mistakes must answer at once.
@@ -85,6 +85,9 @@ def find(words: Sequence[str]) -> _Command:
     has_second_word = has_own_verbs and bool(rest) and not _is_option(rest[0])
     if has_second_word:
         name = f"{name} {rest.pop(0)}"
+    if name in RENAMED:
+        print(f"`simnfnd {name}` is now `simnfnd {RENAMED[name]}`", file=sys.stderr)
+        name = RENAMED[name]
     if name in VERBS:
         return _Command(name, VERBS[name], rest)
     word = name.rpartition(" ")[2]

@@ -207,10 +207,10 @@ VERBS: dict[str, Verb] = {
         ("simnfnd evaluate real mdd models=[simnfnd]",),
         needs=("skimage", *_SONAR), config="real",
     ),
-    "evaluate detect": Verb(
+    "evaluate targets": Verb(
         JUDGE, "measure what denoising leaves of moving targets inserted into recordings",
-        "simnfnd.evaluation.commands:detect",
-        ("simnfnd evaluate detect dive.avi", "simnfnd evaluate detect dive.avi frames=[7] "
+        "simnfnd.evaluation.commands:targets",
+        ("simnfnd evaluate targets dive.avi", "simnfnd evaluate targets dive.avi frames=[7] "
          "models=[simnfnd,own.safetensors] contrasts=[1,2]"),
         needs=("pandas", "skimage", *_SONAR), config="detect",
     ),
@@ -237,3 +237,6 @@ VERBS: dict[str, Verb] = {
         needs=("optuna", "skimage", *_SONAR), config="fit",
     ),
 }  # fmt: skip
+
+RENAMED = {"evaluate detect": "evaluate targets"}
+"""Names of earlier versions, which still work."""

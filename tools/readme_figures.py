@@ -39,7 +39,7 @@ MARKS = "<!-- figures: python -m tools.readme_figures -->", "<!-- /figures -->"
 
 COMMANDS = {
     "real": "simnfnd evaluate real examples/didson/lamprey.avi models=[simnfnd]",
-    "detect": "simnfnd evaluate detect examples/didson/lamprey.avi",
+    "detect": "simnfnd evaluate targets examples/didson/lamprey.avi",
     "groups": "simnfnd evaluate real mdd-groups models=[simnfnd]",
 }
 SPEED_COMMAND = "python -m benchmarks command --frame FLSEA"
@@ -91,7 +91,7 @@ def measured(reports: Path, groups: Path | None, before: Mapping[str, Any]) -> F
     inputs = {"real": EXAMPLE, "detect": EXAMPLE, "groups": groups}
     contents: dict[str, Any] = {}
     for name, source in inputs.items():
-        report = reports / name / ("detect.json" if name == "detect" else "real.json")
+        report = reports / name / ("targets.json" if name == "detect" else "real.json")
         if source is None:
             continue
         if not report.is_file():

@@ -114,8 +114,8 @@ class RealSettings(ReportSettings):
 
 
 @dataclass(frozen=True, config=STRICT)
-class DetectSettings(ReportSettings):
-    """All keys of conf/detect.yaml."""
+class TargetsSettings(ReportSettings):
+    """All keys of conf/targets.yaml."""
 
     recordings: Annotated[list[str], Field(min_length=1)]
     models: list[str]
@@ -133,7 +133,7 @@ class DetectSettings(ReportSettings):
     def folder(self) -> Path:
         """Where the report goes."""
         name = real_path(Path(self.recordings[0]).expanduser()).name
-        return Path(self.out or Path("outputs", "evaluation", f"{name}-detect"))
+        return Path(self.out or Path("outputs", "evaluation", f"{name}-targets"))
 
 
 ArmName = Literal["blob", "simulation", "real", "both"]

@@ -246,7 +246,7 @@ said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export,son
 for words in ("train dataset=made", "denoise made --out x",
               "adapt made --out x", "export-weights simnfnd --out x", "evaluate dataset=made",
               "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a",
-              "evaluate detect a", "evaluate transfer a b",
+              "evaluate targets a", "evaluate transfer a b", "detect made --out x",
               "evaluate realism a b", "evaluate fit a"):
     said(words, 2, "pip install")
 said("make render=cycles dataset.dir=x", 2, "needs bpy")

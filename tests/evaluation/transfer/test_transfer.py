@@ -36,7 +36,7 @@ from simnfnd.models.detection.boxes import no_boxes
 from simnfnd.models.detection.detector import Detections
 from simnfnd.models.detection.images import LabelledImage
 from simnfnd.models.detection.training import DETECTOR_NAME
-from simnfnd.models.detection.weights import load_detector
+from simnfnd.models.detection.weights import read_facts
 from tests.small_detection import (
     HEIGHT,
     WIDTH,
@@ -383,7 +383,7 @@ def test_a_detector_is_trained_without_real_images(
     out = tmp_path / "out"
     words = [f"dataset={dataset}", "classes=[Tire,Bottle]", f"out={out}", "steps=1", "batch=2"]
     assert main(["evaluate", "transfer", *words]) == 0
-    assert load_detector(out / "simulation" / DETECTOR_NAME).classes == ("Tire", "Bottle")
+    assert read_facts(out / "simulation" / DETECTOR_NAME).classes == ("Tire", "Bottle")
     assert main(["evaluate", "transfer", *words[:1], "classes=[Cat]"]) == 2
     capsys.readouterr()
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import torch
 
+from simnfnd import detect
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.files import sha256_of
 from simnfnd.models.detection import SHIPPED_NAME, find_detector
 from simnfnd.models.detection import training as training_module
-from simnfnd.models.detection.augmentation import place_unchanged, vary
+from simnfnd.models.detection.augmentation import vary
 from simnfnd.models.detection.boxes import (
     grow_boxes,
     intersection_over_union,
@@ -24,26 +25,26 @@ from simnfnd.models.detection.boxes import (
 )
 from simnfnd.models.detection.clutter import add_repeats
 from simnfnd.models.detection.detector import (
+    STRIDE,
     Detections,
-    _decode,
-    _detect_at,
     _fuse,
     _weigh,
-    detect,
-    find_objects,
+    decode,
+    detect_at,
+    detect_in,
     no_detections,
 )
 from simnfnd.models.detection.images import (
     SIDE_PX,
     LabelledImage,
-    WorkingImage,
     find_fan,
     reaches_far_end,
     scale_image,
 )
-from simnfnd.models.detection.network import STRIDE, DetectorNetwork, Outputs
+from simnfnd.models.detection.network import DetectorNetwork, Outputs
 from simnfnd.models.detection.normalise import normalise
 from simnfnd.models.detection.objective import Targets, detection_loss, draw_targets
+from simnfnd.models.detection.runtime import DetectorRuntime, RawOutputs
 from simnfnd.models.detection.training import (
     CHECKPOINT_NAME,
     DETECTOR_NAME,
@@ -51,7 +52,13 @@ from simnfnd.models.detection.training import (
     Schedule,
     train_detector,
 )
-from simnfnd.models.detection.weights import TrainedDetector, load_detector, save_detector
+from simnfnd.models.detection.weights import (
+    Calibration,
+    DetectorFacts,
+    calibrate_file,
+    load_detector,
+    save_detector,
+)
 from tests.small_detection import CLASSES, HEIGHT, WIDTH, working_images
 
 
@@ -134,8 +141,7 @@ def test_decoded_targets_are_the_boxes() -> None:
     source = working.labelled
     heat, sides, _, label = draw_targets(source.boxes, source.labels, HEIGHT, WIDTH)
     classes = np.stack([label == number for number in range(2)]).astype(np.float32)
-    outputs = Outputs(*(torch.from_numpy(array)[None] for array in (heat, sides, classes)))
-    found = _decode(outputs, 0, working)
+    found = decode(RawOutputs(heat, sides, classes), working)
     overlap = intersection_over_union(found.boxes, source.boxes)
     assert len(found.boxes) == len(source.boxes)
     assert (overlap.max(axis=0) > 0.99).all()
@@ -172,24 +178,19 @@ def train(folder: Path, steps: int, **changes: Any) -> Any:
 
 @pytest.mark.slow
 def test_training_finds_what_it_learned(tmp_path: Path) -> None:
-    trained = train(tmp_path, 70)
+    detector = DetectorRuntime(train(tmp_path, 70).path)
     unseen = working_images(4, seed=1)
     hits = 0
-    labelled_images = [working.labelled for working in unseen]
-    for working, found in zip(
-        unseen, _detect_at(trained.network, labelled_images, HEIGHT), strict=True
-    ):
+    images = [working.labelled.image for working in unseen]
+    for working, found in zip(unseen, detect_at(detector, images, HEIGHT), strict=True):
         boxes = found.boxes[: len(working.labelled.boxes)]
         overlap = intersection_over_union(working.labelled.boxes, boxes)
         hits += int((overlap.max(axis=1, initial=0) > 0.5).sum())
     assert hits >= 6  # of 8
-    named = find_objects(
-        [labelled.image for labelled in labelled_images], str(tmp_path / DETECTOR_NAME)
-    )
-    assert len(named) == len(unseen)
-    assert {item.class_name for items in named for item in items} <= set(CLASSES)
     # The same objects at the detector's own size, which is larger than these images.
-    assert any(items and items[0].score > 0.1 for items in named)
+    named = [detect(image, detector=tmp_path / DETECTOR_NAME, threshold=0.1) for image in images]
+    assert any(named)
+    assert {item.class_name for items in named for item in items} <= set(CLASSES)
 
 
 def test_killed_training_goes_on_with_the_same_bytes(
@@ -229,14 +230,36 @@ def test_other_files_are_refused(tmp_path: Path, content: bytes) -> None:
         load_detector(path)
 
 
-def test_black_images_hold_nothing_to_fail_on() -> None:
+def test_onnxruntime_computes_what_torch_does() -> None:
+    """Also of other classes than the graph was traced with, and of other sizes."""
+    torch.manual_seed(1)
+    rng = np.random.default_rng(0)
+    path = find_detector(SHIPPED_NAME)
+    network = load_detector(path).network
+    inputs = rng.normal(size=(3, 3, 80, 48)).astype(np.float32)
+    with torch.no_grad():
+        expected = network(torch.from_numpy(inputs))
+    for values, truth in zip(DetectorRuntime(path)(inputs), expected, strict=True):
+        np.testing.assert_allclose(values, truth.numpy(), atol=1e-4)
+
+
+def test_black_images_hold_nothing(tmp_path: Path) -> None:
+    save_detector(tmp_path / "d", DetectorNetwork(2).eval(), DetectorFacts(CLASSES))
     image = np.zeros((HEIGHT, WIDTH), np.uint8)
-    source = LabelledImage("black", "black", image, as_boxes().reshape(0, 4), np.zeros(0, np.int64))
-    working = WorkingImage(source, 1.0, find_fan(image))
-    inputs, _, _ = place_unchanged(working, (HEIGHT, WIDTH))
-    assert not inputs.any()
-    trained = TrainedDetector(DetectorNetwork(2).eval(), CLASSES, {})
-    assert len(detect(trained, [source])) == 1
+    (found,) = detect_in(DetectorRuntime(tmp_path / "d"), [image])
+    assert not len(found.boxes)
+    assert not find_fan(image).any()
+
+
+def test_a_calibration_changes_scores_and_no_order(tmp_path: Path) -> None:
+    save_detector(tmp_path / "d", DetectorNetwork(2).eval(), DetectorFacts(CLASSES))
+    calibrate_file(tmp_path / "d", Calibration(2.0, 1.0))
+    facts = DetectorRuntime(tmp_path / "d").facts
+    assert facts.classes == CLASSES
+    assert facts.calibration is not None
+    scores = facts.calibration(np.array([0.1, 0.5, 0.9], np.float32))
+    np.testing.assert_allclose(scores[1], 1 / (1 + np.exp(-1)), rtol=1e-6)
+    assert (np.diff(scores) > 0).all()
 
 
 def test_views_are_fused() -> None:
@@ -274,8 +297,9 @@ def test_margin_of_the_file_moves_the_sides(tmp_path: Path) -> None:
     (working,) = working_images(1)
     found = []
     for margin in (0.0, -0.01):
-        save_detector(tmp_path / "d", TrainedDetector(network, CLASSES, {"margin": margin}))
-        found.append(detect(load_detector(tmp_path / "d"), [working.labelled])[0].boxes)
+        save_detector(tmp_path / "d", network, DetectorFacts(CLASSES, {"margin": margin}))
+        detector = DetectorRuntime(tmp_path / "d")
+        found.append(detect_in(detector, [working.labelled.image])[0].boxes)
     shift = np.array([1, 1, -1, -1]) * 0.01 * HEIGHT
     is_inside = (found[0][:, :2] > 0).all(1) & (found[0][:, 2:] < [WIDTH, HEIGHT]).all(1)
     assert is_inside.any()
@@ -292,10 +316,10 @@ def test_the_detector_that_ships_is_that_of_its_card() -> None:
     assert f"{count:,}" in card
     command = next(line for line in card.splitlines() if line.startswith("simnfnd evaluate"))
     keys = dict(word.split("=", 1) for word in shlex.split(command) if "=" in word)
-    assert trained.training["schedule"]["steps"] == int(keys["steps"])
-    assert trained.margin == float(keys.get("margin", 0))
-    assert keys["classes"] == f"[{','.join(trained.classes)}]"
-    assert all(name in card for name in trained.classes)
+    assert trained.facts.training["schedule"]["steps"] == int(keys["steps"])
+    assert trained.facts.margin == float(keys.get("margin", 0))
+    assert keys["classes"] == f"[{','.join(trained.facts.classes)}]"
+    assert all(name in card for name in trained.facts.classes)
 
 
 def test_mirrored_twice_is_the_same() -> None:

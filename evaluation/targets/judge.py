@@ -18,7 +18,7 @@ from ...factory.dataset.fan_geometry import FanGeometry
 from ..judging.learned import learned_notes
 from ..judging.methods import baselines_of, networks_at, reason, shown
 from ..judging.recorded import Stretch
-from ..judging.settings import DetectSettings
+from ..judging.settings import TargetsSettings
 from ..metrics.measure import Figures, Grey, ratio_figures
 from ..metrics.statistics import evenly
 from .detector import Responses, real_motion, responses_of
@@ -119,7 +119,7 @@ Results = dict[tuple[int, str], DetectionResult]
 
 
 def judge(
-    settings: DetectSettings, stretches: Sequence[Stretch], pool: TaskPool
+    settings: TargetsSettings, stretches: Sequence[Stretch], pool: TaskPool
 ) -> DetectionOutcome:
     """Judge every row on every recording.  Raises FactoryError where no recording can be judged."""
     networks = networks_at(settings.models)
@@ -213,7 +213,7 @@ def _static_recordings(
 
 
 def _insert_tracks(
-    recording: StaticRecording, settings: DetectSettings, repeat: int
+    recording: StaticRecording, settings: TargetsSettings, repeat: int
 ) -> TwinSequences:
     """A recording with targets, and its twin.  Raises FactoryError where no track finds room."""
     plan = TrackPlan(
@@ -245,7 +245,7 @@ def _insert_tracks(
 
 
 def _choose_examples(
-    sequences: Sequence[TwinSequences], settings: DetectSettings
+    sequences: Sequence[TwinSequences], settings: TargetsSettings
 ) -> list[SightingExample]:
     """The middle sighting of the first track of each class, sequences taking turns."""
     examples: list[SightingExample] = []
@@ -291,7 +291,7 @@ def _run_tasks(
 
 
 def _row_figures(
-    label: str, results: Results, sequences: Sequence[TwinSequences], settings: DetectSettings
+    label: str, results: Results, sequences: Sequence[TwinSequences], settings: TargetsSettings
 ) -> MethodFigures:
     answers = []
     for number, twins in enumerate(sequences):

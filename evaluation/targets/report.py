@@ -1,4 +1,4 @@
-"""The report on targets: detect.json, detect.md, detect.html, curves.svg and crops.png."""
+"""The report on targets: targets.json, targets.md, targets.html, curves.svg and crops.png."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ...factory.common.files import check_writable
 from ...factory.common.plots import Curve, Plot, draw_plots
 from ...factory.common.workers.tasks import TaskPool
 from ..judging.recorded import Stretch, frame_of, open_input
-from ..judging.settings import DetectSettings
+from ..judging.settings import TargetsSettings
 from ..metrics.statistics import FigureEstimate
 from ..report.document import Drawing, Section, publish
 from ..report.tables import as_table, figure, plain, written
@@ -22,7 +22,7 @@ from .targets import classes_of
 if TYPE_CHECKING:
     import pandas as pd
 
-SCHEMA = "simnfnd-detect/1"
+SCHEMA = "simnfnd-targets/1"
 
 HOW = (
     "Targets of known position are inserted into the recording: ellipses of the smoothed scene, "
@@ -42,7 +42,7 @@ HOW = (
 )
 
 
-def evaluate(settings: DetectSettings) -> None:
+def evaluate(settings: TargetsSettings) -> None:
     """Measure, print the table and write the report.  Raises FactoryError."""
     stretches: list[Stretch] = []
     for path in settings.recordings:
@@ -57,7 +57,7 @@ def evaluate(settings: DetectSettings) -> None:
     write(settings, outcome)
 
 
-def write(settings: DetectSettings, outcome: DetectionOutcome) -> None:
+def write(settings: TargetsSettings, outcome: DetectionOutcome) -> None:
     """Write the files and print the table."""
     frame_count = sum(len(twins.with_targets) for twins in outcome.sequences)
     track_count = sum(len(twins.tracks) for twins in outcome.sequences)
@@ -85,7 +85,7 @@ def write(settings: DetectSettings, outcome: DetectionOutcome) -> None:
     ]
     publish(
         settings.folder,
-        "detect",
+        "targets",
         f"Targets in {names}",
         about.strip(),
         sections,
@@ -116,7 +116,7 @@ def overall_table(outcome: DetectionOutcome) -> pd.DataFrame:
     return as_table(head, lines)
 
 
-def class_table(settings: DetectSettings, outcome: DetectionOutcome) -> pd.DataFrame:
+def class_table(settings: TargetsSettings, outcome: DetectionOutcome) -> pd.DataFrame:
     """AUC / contrast / detection of each class, a line for each method."""
     classes = classes_of(settings.sizes, settings.contrasts)
     head = ["AUC / contrast / detection", *(target.label for target in classes)]
@@ -153,8 +153,8 @@ def _plots(figures: dict[str, MethodFigures]) -> Sequence[Plot]:
     )
 
 
-def _facts(settings: DetectSettings, outcome: DetectionOutcome) -> dict[str, Any]:
-    """The content of detect.json."""
+def _facts(settings: TargetsSettings, outcome: DetectionOutcome) -> dict[str, Any]:
+    """The content of targets.json."""
     classes = classes_of(settings.sizes, settings.contrasts)
     return {
         "schema": SCHEMA,

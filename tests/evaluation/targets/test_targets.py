@@ -1,4 +1,4 @@
-"""`simnfnd evaluate detect`: inserted targets, what detectors answer, the report."""
+"""`simnfnd evaluate targets`: inserted targets, what detectors answer, the report."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.evaluation.commands import _as_keys
-from simnfnd.evaluation.detect.detector import Responses, real_motion, responses_of
-from simnfnd.evaluation.detect.scores import (
+from simnfnd.evaluation.targets.detector import Responses, real_motion, responses_of
+from simnfnd.evaluation.targets.scores import (
     Answers,
     MethodFigures,
     count_wins,
     figures_of,
     threshold_of,
 )
-from simnfnd.evaluation.detect.targets import (
+from simnfnd.evaluation.targets.targets import (
     Frames,
     Insertion,
     TrackPlan,
@@ -200,9 +200,9 @@ def test_the_report(tmp_path: Path, frames: Frames, capsys: pytest.CaptureFixtur
     folder = saved(tmp_path / "dive", frames)
     out = tmp_path / "out"
     words = [str(folder), *SMALL, "frames=[1]", "fixed=[{gaussian:{sigma_px:1.5}}]", "baselines=[]"]
-    assert main(["evaluate", "detect", *words, f"out={out}"]) == 0
+    assert main(["evaluate", "targets", *words, f"out={out}"]) == 0
     assert "| recorded |" in capsys.readouterr().out
-    content: dict[str, Any] = json.loads((out / "detect.json").read_text(encoding="utf-8"))
+    content: dict[str, Any] = json.loads((out / "targets.json").read_text(encoding="utf-8"))
     rows = {row["label"]: row for row in content["rows"]}
     assert list(rows) == [
         "recorded", "gaussian (sigma_px=1.5)", "mean of 7", "registered mean of 7 + TV",
@@ -216,9 +216,9 @@ def test_the_report(tmp_path: Path, frames: Frames, capsys: pytest.CaptureFixtur
     assert sheet.std() > 10
     curves = (out / "curves.svg").read_text(encoding="utf-8")
     assert all(curves.count(f">{label}<") == 1 for label in rows)
-    page = (out / "detect.html").read_text(encoding="utf-8")
+    page = (out / "targets.html").read_text(encoding="utf-8")
     assert page.count("data:image/") == 2
-    assert "detect.html" not in page
+    assert "targets.html" not in page
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_recordings_that_do_not_suit_get_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder = saved(tmp_path / "dive", recording(**recording_options))  # type: ignore[arg-type]
-    assert main(["evaluate", "detect", str(folder), *SMALL, f"out={tmp_path / 'out'}"]) == 2
+    assert main(["evaluate", "targets", str(folder), *SMALL, f"out={tmp_path / 'out'}"]) == 2
     error = capsys.readouterr().err.strip()
     assert words in error
     assert "\n" not in error
@@ -250,7 +250,7 @@ def test_wrong_keys_are_named(
 ) -> None:
     folder = saved(tmp_path / "dive", frames[:20])
     words = [str(folder), *SMALL, word, "models=[]", f"out={tmp_path / 'out'}"]
-    assert main(["evaluate", "detect", *words]) == 2
+    assert main(["evaluate", "targets", *words]) == 2
     assert word.partition("=")[0] in capsys.readouterr().err
 
 
