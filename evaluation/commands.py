@@ -58,7 +58,9 @@ def targets(words: Sequence[str]) -> int:
     """`simnfnd evaluate targets RECORDING... [KEY=VALUE ...]`."""
     from .judging.settings import TargetsSettings
 
-    return run_app(_targets, "targets", _named(_as_keys(words), None, "recordings"), TargetsSettings)
+    return run_app(
+        _targets, "targets", _named(_as_keys(words), None, "recordings"), TargetsSettings
+    )
 
 
 def transfer(words: Sequence[str]) -> int:

@@ -92,9 +92,7 @@ class Detector:
         self._is_open = True
         self._count = 0
 
-    def __call__(
-        self, frame: npt.ArrayLike | SonarFrame | RecordedFrame
-    ) -> list[DetectedObject]:
+    def __call__(self, frame: npt.ArrayLike | SonarFrame | RecordedFrame) -> list[DetectedObject]:
         """The objects in the next frame.  Raises ValueError as `detect`, and after `close`."""
         from .api import RecordedFrame, _values_of
         from .models.detection.frames import shown_frame

@@ -17,7 +17,7 @@ from ...models.detection.detector import Detections, detect_in
 from ...models.detection.images import UNKNOWN, WorkingImage, scale_image
 from ...models.detection.runtime import DetectorRuntime
 from ...models.detection.training import BatchShare, Schedule, train_detector
-from ...models.detection.weights import TrainedDetector, load_detector, read_facts
+from ...models.detection.weights import TrainedDetector, read_facts
 from ..judging.settings import TransferReportSettings
 from .blobs import detect_blobs
 from .coco import RealImages

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from ...factory import __version__
+from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, sha256_of
 from ...factory.common.progress import progress_bar
 from ...factory.common.workers.machine import keep_freed_memory
-from ...factory.production.cli import Parser
 from ..denoise.journal import Journal, opened_journal
 from ..recordings.inputs import FIND, Geometries, InputFile, find_items, sequences
 from . import SHIPPED_NAME, find_detector
@@ -178,7 +178,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     topics_help = "topic of a bag to look into (may be repeated; default: those of sonars)"
     add("--topic", action="append", default=[], metavar="NAME", help=topics_help)
     add("--again", action="store_true", help="look into all files, finished ones too")
-    options = parser.parse_args(list(arguments))
+    options: argparse.Namespace = parser.parse_args(list(arguments))
     if not 0 <= options.threshold <= 1:
         raise FactoryError(f"--threshold {options.threshold:g}: must lie between 0 and 1")
     return options

@@ -48,7 +48,8 @@ class FrameRow(NamedTuple):
         cls, file: str, is_image: bool, frame: ShownFrame, objects: list[DetectedObject]
     ) -> Self:
         """The row of a frame."""
-        return cls(file, is_image, frame.number, frame.time_s, *frame.image.shape, objects)
+        height, width = frame.image.shape
+        return cls(file, is_image, frame.number, frame.time_s, height, width, objects)
 
     @property
     def image_name(self) -> str:

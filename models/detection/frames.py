@@ -12,11 +12,11 @@ from ...factory.common.array_types import Array, UInt8s
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ..recordings import SonarFrame, open_recording
-from ..recordings.base import FULL_SCALE
+from ..recordings.base import FULL_SCALE, white_of
 from ..recordings.images import read_image
 from ..recordings.inputs import Geometries, InputFile
 from ..recordings.palettes import grey_of_colours
-from ..recordings.views import fan_of, grey_of
+from ..recordings.views import fan_of, white_of_recording
 
 FindGeometry = Callable[[Array], FanGeometry | None]
 
@@ -35,14 +35,17 @@ class ShownFrame:
     time_s: float | None = None
 
 
-def shown_frame(frame: SonarFrame, find_geometry: FindGeometry) -> ShownFrame:
+def shown_frame(
+    frame: SonarFrame, find_geometry: FindGeometry, *, white: float = 0.0
+) -> ShownFrame:
     """A frame of a recording as people look at it.
 
-    find_geometry: of the samples, where the frame states none.  Raises FrameError for NaN.
+    find_geometry: of the samples, where the frame states none.  white: of samples of 16 bits of the
+    recording; at least that of the frame.  Raises FrameError for NaN.
     """
     if not np.isfinite(frame.samples).all():
         raise FrameError(f"frame {frame.number} has NaN or infinite pixels")
-    grey = grey_of(frame)
+    grey = frame.samples.astype(np.float32) / np.float32(max(white, white_of(frame.samples)))
     geometry = frame.geometry
     if frame.beams is not None:
         grey, geometry = fan_of(grey, frame.beams)
@@ -66,10 +69,13 @@ def frames_of(
         yield shown_frame(frame, partial(geometries.of, item))
         return
     with open_recording(item.source, topics) as recording:
+        white = 0.0
         for frame in recording:
+            if frame.samples.dtype == np.uint16 and not white:
+                white = white_of_recording(item.source)
             find = partial(geometries.of, item, sequence=frame.sequence)
             try:
-                yield shown_frame(frame, find)
+                yield shown_frame(frame, find, white=white)
             except FrameError as error:
                 raise FrameError(f"{item.source}: {error}") from error
 

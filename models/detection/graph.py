@@ -1,4 +1,4 @@
-"""Writes the ONNX graph that `runtime` runs: python -m simnfnd.models.detection.graph"""
+"""Writes the ONNX graph that `runtime` runs: python -m simnfnd.models.detection.graph."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write_graph(path: Path = GRAPH) -> None:
     inputs = ("image", *HEAD_INPUTS)
     sizes = {0: "count", 2: "height", 3: "width"}
     axes = dict.fromkeys(("image", *RawOutputs._fields), sizes)
-    axes |= dict.fromkeys(HEAD_INPUTS, {0: "outputs"})
+    axes |= {name: {0: "outputs"} for name in HEAD_INPUTS}
     content = io.BytesIO()
     heads = graph.network.heads
     with warnings.catch_warnings(), torch.no_grad():

@@ -11,8 +11,8 @@ from torch.nn import functional
 
 from ...factory.common.array_types import Float32s, Int64s
 from .boxes import Boxes
-from .images import UNKNOWN
 from .detector import STRIDE
+from .images import UNKNOWN
 from .network import Outputs
 
 _SPREAD = 0.13  # standard deviation of a centre's peak, as a share of the side of the box

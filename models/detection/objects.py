@@ -92,9 +92,7 @@ def find_objects(
         if classes:
             is_wanted &= np.isin(np.array(names)[detections.labels], list(classes))
         wanted = detections.chosen(is_wanted)
-        turned = Detections(
-            _turned_back(wanted.boxes, frame, image), wanted.scores, wanted.labels
-        )
+        turned = Detections(_turned_back(wanted.boxes, frame, image), wanted.scores, wanted.labels)
         results.append(_named(turned, names, frame.geometry))
     return results
 

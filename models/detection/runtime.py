@@ -14,7 +14,7 @@ import numpy as np
 from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.common.workers.machine import usable_cores
-from .weights import DetectorFacts, read_detector
+from .weights import read_detector
 
 GRAPH = Path(__file__).parent / "simnfnd-detector.onnx"
 HEAD_INPUTS = ("heads.weight", "heads.bias")
@@ -68,5 +68,3 @@ class DetectorRuntime:
         """Compute images as `images.network_input` makes them, (N, 3, H, W)."""
         outputs = self._session.run(list(RawOutputs._fields), {"image": inputs, **self._head})
         return RawOutputs(*(np.asarray(output, np.float32) for output in outputs))
-
-

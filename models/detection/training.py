@@ -20,8 +20,8 @@ from ...factory.common.private_apis import move_averages
 from ...factory.common.progress import Bar
 from ...factory.common.seeds import stream
 from .augmentation import vary
-from .images import WorkingImage, canvas_shape
 from .detector import DIVISOR
+from .images import WorkingImage, canvas_shape
 from .network import DetectorNetwork
 from .objective import Targets, detection_loss, draw_targets
 from .weights import DetectorFacts, TrainedDetector, load_detector, read_facts, save_detector

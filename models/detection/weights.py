@@ -160,3 +160,26 @@ def read_facts(path: Path) -> DetectorFacts:
 
 def _is_within(value: object, most: float) -> bool:
     return isinstance(value, int | float) and -most <= value <= most
+
+
+def fit_calibration(scores: Array, is_right: Array) -> Calibration:
+    """The calibration of detections that were judged, by logistic regression (Platt 1999).
+
+    scores: (N,) in 0..1 as the network gives them.  is_right: (N,) whether there was an object.
+    """
+    from scipy.optimize import minimize
+
+    inside = np.clip(scores.astype(np.float64), 1e-6, 1 - 1e-6)
+    odds = np.log(inside / (1 - inside))
+    right_count = int(is_right.sum())
+    # Platt's targets, which few detections cannot drive to infinity.
+    target = np.where(
+        is_right, (right_count + 1) / (right_count + 2), 1 / (len(is_right) - right_count + 2)
+    )
+
+    def loss(parameters: Array) -> float:
+        logits = parameters[0] * odds + parameters[1]
+        return float(np.logaddexp(0, logits).sum() - (target * logits).sum())
+
+    slope, offset = minimize(loss, np.array([1.0, 0.0]), method="Nelder-Mead").x
+    return Calibration(round(float(slope), 4), round(float(offset), 4))

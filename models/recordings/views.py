@@ -121,7 +121,7 @@ def frame_image(path: Path, number: int) -> tuple[Float32s, FanGeometry | None]:
     frame = _frame_at(path, number)
     grey = grey_of(frame)
     if frame.samples.dtype == np.uint16:
-        white = max(_white_of_recording(path), white_of(frame.samples))
+        white = max(white_of_recording(path), white_of(frame.samples))
         grey = frame.samples.astype(np.float32) / np.float32(white)
     if not np.isfinite(grey).all():
         raise FactoryError(f"{path}: frame {number} has NaN or infinite pixels")
@@ -143,7 +143,7 @@ def read_grey(path: Path) -> Float32s:
 
 
 @lru_cache(maxsize=64)
-def _white_of_recording(path: Path) -> float:
+def white_of_recording(path: Path) -> float:
     """The white of samples of 16 bits, one for all frames of a recording.
 
     A few of them are looked at.  Datasets and videos state how deep their samples are, and are

@@ -151,8 +151,7 @@ def _unused_name(folder: Path, recording: str) -> str:
 
 
 def write_mot(pairs: PairDataset, folder: Path, selection: ObjectSelection) -> str:
-    """SPLIT/RECORDING/img1/NNNNNN.png, gt/gt.txt, gt/classes.csv, gt/tracks.csv and
-    seqinfo.ini.
+    """SPLIT/RECORDING/img1/NNNNNN.png, gt/*.txt and gt/*.csv, and seqinfo.ini.
 
     A line of gt.txt: frame (from 1), id, left, top (from 1), width, height, 1, class, visibility.
     Format: Milan et al., MOT16, arXiv 1603.00831.  Every object has class 1, the only one that
@@ -317,10 +316,10 @@ class _Document:
 _MOT_NOTES = """\
 `SPLIT/RECORDING/` is a sequence of the MOTChallenge: `img1/000001.png` and so on, `seqinfo.ini`,
 and `gt/gt.txt` with lines of frame, id, left, top, width, height, 1, class, visibility. Frames and
-pixels count from 1. `gt/classes.csv` names the class of each id, `gt/tracks.csv` gives range, bearing, length and
-body axis in each frame. TrackEval at its defaults judges
-class 1 (its "pedestrian"), which all objects have unless `--classes` named classes; with several
-numbers, set its `DO_PREPROC False` to judge them together.
+pixels count from 1. `gt/classes.csv` names the class of each id, `gt/tracks.csv` gives range,
+bearing, length and body axis in each frame. TrackEval at its defaults judges class 1 (its
+"pedestrian"), which all objects have unless `--classes` named classes; with several numbers, set
+its `DO_PREPROC False` to judge them together.
 """
 
 _COCO_VIDEO_NOTES = """\

@@ -30,10 +30,10 @@ TRACKS = (
         "",
         "JSON list of the moving objects that are there: id, class; position_m of the middle and "
         "velocity_m_s over ground (ahead, left, up) in the sonar's axes; range_m and bearing_deg "
-        "(right is positive) of its echo, of its middle where none arrives; length_m along its body "
-        "axis at rest, and body_bearing_deg of that axis, tail to head, in the sonar's level plane "
-        "(right is positive, 0 looks away from the sonar); box (left, top, width, "
-        "height) in pixels of the image, null without an echo; target_strength_db, null where the "
+        "(right is positive) of its echo, of its middle where none arrives; length_m along its "
+        "body axis at rest, and body_bearing_deg of that axis, tail to head, in the sonar's level "
+        "plane (right is positive, 0 looks away from the sonar); box (left, top, width, height) in "
+        "pixels of the image, null without an echo; target_strength_db, null where the "
         "material decides; insonified, part of its outline that echoes; occluded, part that "
         "something nearer hides",
     ),
