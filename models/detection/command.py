@@ -9,13 +9,12 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from ...factory import __version__
 from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable, sha256_of
-from ...factory.common.progress import progress_bar
+from ...factory.common.progress import Bar
 from ...factory.common.workers.machine import keep_freed_memory
 from ..denoise.journal import Journal, opened_journal
 from ..recordings.inputs import FIND, Geometries, InputFile, find_items, sequences
@@ -76,23 +75,24 @@ class _Job:
         finished = sum(item in self.journal for item in items)
         if finished:
             print(f"already looked into: {finished} file(s); --again looks into them, too")
-        with progress_bar(total=len(items) - finished, unit="file", desc="detecting") as bar:
-            for item in items:
-                if item in self.journal:
-                    continue
+        left = [item for item in items if item not in self.journal]
+        images = sum(item.kind == "images" for item in left)
+        with Bar(total=images, unit="image", desc="detecting") as bar:
+            bar.uncounted = len(left) - images
+            for item in left:
                 try:
                     self._detect_in(item, bar)
                 except FactoryError as error:
                     self.failures.append(_named(item, error))
-                bar.update()
         if self.failures and len(self.failures) == len(items):
             more = f" (and {len(self.failures) - 1} more)" if len(self.failures) > 1 else ""
             raise FactoryError(self.failures[0] + more)
         for line in self.failures:
             print(f"skipped: {line}", file=sys.stderr)
 
-    def _detect_in(self, item: InputFile, bar: Any) -> None:
+    def _detect_in(self, item: InputFile, bar: Bar) -> None:
         is_image = item.kind == "images"
+        bar.uncounted -= not is_image
         rows = []
         path = self.out / "overlay" / item.relative
         drawing = open_overlay(path, is_image=is_image) if self.options.overlay else nullcontext()
@@ -110,7 +110,8 @@ class _Job:
                     if overlay is not None:
                         texts = [f"{item.class_name} {item.score:.2f}" for item in objects]
                         overlay.add(frame, list(zip(objects, texts, strict=True)))
-                bar.set_postfix_str(f"frame {rows[-1].frame}" if not is_image else "")
+                    bar.total += not is_image
+                    bar.update()
         write_rows(self.kept(item), rows)
         self.journal.add(item, {}, self.kept(item))
 
