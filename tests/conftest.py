@@ -41,7 +41,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 def compile_loops() -> None:
     """Compile what has no compiled form on disk, in two processes: a minute of CPU in a clone."""
-    from simnfnd.factory.simulation.pairs.compilation import FIELD, IMAGE_LOOPS, LOOPS, SCENE_LOOPS
+    from simnfnd.factory.simulation.pairs.compilation import (
+        FIELD_LOOPS,
+        IMAGE_LOOPS,
+        LOOPS,
+        SCENE_LOOPS,
+    )
 
     root = Path(__file__).resolve().parents[1]
     of_models = (
@@ -60,7 +65,7 @@ def compile_loops() -> None:
         return
     processes = [
         subprocess.Popen([sys.executable, "-c", "\n".join(f"import {name}" for name in names)])
-        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (FIELD, *of_models))
+        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (*FIELD_LOOPS, *of_models))
     ]
     for process in processes:
         process.wait()

@@ -165,7 +165,6 @@ DecibelsPerMetre = Annotated[Distribution, within(-100.0, 100.0, "dB/m"), as_wri
 Share = Annotated[Distribution, within(0.0, 1.0), as_written]
 Looks = Annotated[Distribution, within(1e-6, 64.0), as_written]
 """Number of looks; each takes a field of its own in memory."""
-CellSize = Annotated[Distribution, within(1e-4, 10.0, "m", or_zero=True), as_written]
 Altitude = Annotated[Distribution, within(0.01, 1000.0, "m"), as_written]
 Strength = Annotated[Distribution, within(0.0, 1000.0), as_written]
 """Strength of points as a fraction of full scale."""

@@ -272,6 +272,11 @@ def _conflicts_of_coherent(config: FactoryConfig) -> Iterator[str]:
         )
 
 
+_GONE = "was removed: the points of the grain follow what the device resolves; leave it out"
+GONE_KEYS = {f"noise.{effect}.scatterer_m": _GONE for effect in ("speckle", "path_speckle")}
+"""Keys of earlier versions, each with what to say of it."""
+
+
 def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     """Validate a composed configuration.
 
@@ -295,6 +300,23 @@ def _with_current_names(values: Mapping[str, Any]) -> dict[str, Any]:
     if acoustics["formation"] == "field":
         acoustics["formation"] = "coherent"
     current["acoustics"] = acoustics
+    current["noise"] = _without_gone_keys(current.get("noise") or {})
+    return current
+
+
+def _without_gone_keys(noise: Mapping[str, Any]) -> dict[str, Any]:
+    """The group without keys of earlier versions that have their default, 0.
+
+    Raises FactoryError for one that has another value.
+    """
+    current = dict(noise)
+    for key, remark in GONE_KEYS.items():
+        _, effect, name = key.split(".")
+        block = current.get(effect)
+        if isinstance(block, Mapping) and name in block:
+            if block[name] != 0:
+                raise FactoryError(f"{key}: {remark}")
+            current[effect] = {other: block[other] for other in block if other != name}
     return current
 
 

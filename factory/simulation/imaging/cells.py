@@ -48,12 +48,14 @@ def places_in_cells(names: UInt32s) -> Float64s:
     )
 
 
-def occupied_cells(cells: Int64s, names: UInt32s, powers: Float32s, edge_m: float) -> OccupiedCells:
+def occupied_cells(
+    cells: Int64s, names: UInt32s, powers: Float32s, edges_m: Float64s
+) -> OccupiedCells:
     """The cells of K scatterers, each once.
 
-    cells: (K, 3) of edge `edge_m`.  names: (K,) by `cell_names`.  powers: (K,).
+    cells: (K, 3), of the edges (K, 1).  names: (K,) by `cell_names`.  powers: (K,).
     """
     unique_names, first, cell_of = np.unique(names, return_index=True, return_inverse=True)
     sums = np.bincount(cell_of.reshape(-1), powers, len(unique_names)).astype(np.float32)
-    points_m = (cells[first] + places_in_cells(unique_names).T) * edge_m
+    points_m = (cells[first] + places_in_cells(unique_names).T) * edges_m[first]
     return OccupiedCells(unique_names, sums, points_m, first)

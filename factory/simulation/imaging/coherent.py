@@ -58,8 +58,7 @@ class CoherentScene(Ping):
         clouds: tuple[EffectCloud, ...] = ()
         if on_points:
             clouds = effect_clouds(on_points, self.surface.insonified.echoes, self.window)
-        many = len(self.scatterers.bins)
-        return CoherentSample(effects, clouds, 1.0, many, self.full_scale, self)
+        return CoherentSample(effects, clouds, 1.0, self.scatterers.count, self.full_scale, self)
 
 
 @dataclass(frozen=True, eq=False)

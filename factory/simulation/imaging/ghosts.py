@@ -8,7 +8,7 @@ their own; real ones are equal, and would add in phase where both lie in one bea
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from ...common.array_types import Float32s, Float64s, Int32s, Int64s, UInt32s
 from ..frames.frame import turned
 from ..sonar.ghosts import arrivals_m, lengths
 from .cells import cell_names, occupied_cells
+
+if TYPE_CHECKING:
+    from .grain import CellSizes
 
 # Salts for the names of the cells of mirror images, one for each direction of their paths.
 _DIRECTION_SALTS = np.array([0x3C6EF372, 0xA54FF53A], np.uint32)
@@ -49,14 +52,16 @@ class GhostScatterers:
     direction: Int64s
     world_from_sonar: Float64s
 
-    def names(self, edge_m: float) -> UInt32s:
-        """(K,) uint32 names of the world cells of this edge in which the mirror images lie."""
-        return self._names(self._cells(edge_m))
+    def points(self, sizes: CellSizes) -> GhostPoints:
+        """The world cells of the mirror images as one point each.
 
-    def points(self, edge_m: float) -> GhostPoints:
-        """The cells as one point each, at a place of the cell that stays the same."""
-        cells = self._cells(edge_m)
-        occupied = occupied_cells(cells, self._names(cells), self.powers, edge_m)
+        sizes: edges of the cells by the range of the mirror image.
+        """
+        edges_m = sizes.edge_at_m(lengths(self.image_m))[:, None]
+        world_m = turned(self.world_from_sonar[:, :3], self.image_m) + self.world_from_sonar[:, 3]
+        cells = np.asarray(np.floor(world_m / edges_m), np.int64)
+        salts = _DIRECTION_SALTS[self.direction]
+        occupied = occupied_cells(cells, cell_names(cells, salts), self.powers, edges_m)
         turn = self.world_from_sonar[:, :3]
         image_m = turned(turn.T, occupied.points_m - self.world_from_sonar[:, 3])
         second_m = self._beside_second_m(occupied.first, image_m)
@@ -64,13 +69,6 @@ class GhostScatterers:
         direction = self.direction[occupied.first]
         sonar_m = arrivals[direction, np.arange(len(direction))].T
         return GhostPoints(occupied.names, occupied.powers, sonar_m)
-
-    def _cells(self, edge_m: float) -> Int64s:
-        world_m = turned(self.world_from_sonar[:, :3], self.image_m) + self.world_from_sonar[:, 3]
-        return np.asarray(np.floor(world_m / edge_m), np.int64)
-
-    def _names(self, cells: Int64s) -> UInt32s:
-        return cell_names(cells, _DIRECTION_SALTS[self.direction])
 
     def _beside_second_m(self, index: Int64s, image_m: Float64s) -> Float64s:
         """(M, 3) the points whose mirror images are `image_m`, near those of the ghosts `index`."""

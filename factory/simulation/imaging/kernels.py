@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...common.array_types import Float32s, Float64s, Int32s, UInt8s, UInt16s, UInt32s
+from ...common.array_types import Bools, Float32s, Float64s, Int32s, UInt8s, UInt16s, UInt32s
 from ...common.compiled import compiled
 from ...common.elementary import rotated, rotation_numbers
 
@@ -39,8 +39,6 @@ _CAMERA = f"Tuple(({_MATRIX}, float32[::1], float32[::1]))"
 # Of polar bins: whether ranges count along the ground, near_m, bins_per_m, range bins; (beams + 1,)
 # sines of the beams' edges; a table that says where in it to begin, and its steps per sine.
 _GRID = "Tuple((boolean, float64, float64, int64, float32[::1], int32[::1], float64))"
-# Of scatterers: (N,) each, flat camera pixel, and how far towards the pixel below, 0 to 1.
-_PLACES = "Tuple((int32[::1], float32[::1]))"
 
 
 def scrambled(word: Any) -> Any:
@@ -146,8 +144,6 @@ def add_white(
 
 # --- from rendered pixels to scatterers -------------------------------------------------------
 
-# A pixel at grazing incidence is at most this many scatterers.
-_MOST_PARTS = 32
 # When neighbours are one surface, as in `render.kernels.joints`: parts of the depth, and of a step.
 _SMALL_STEP = np.float32(0.02)
 _LARGE_STEP = np.float32(0.1)
@@ -195,13 +191,6 @@ def _interpolated(table: Any, place: Any, last_step: Any) -> Any:
     lower = table[step]
     upper = table[step + 1]
     return lower + (place - np.float32(step)) * (upper - lower)
-
-
-@compiled()
-def _chance_of(pixel: Any) -> Any:
-    """A number from 0 to 1 that belongs to the pixel: multiplicative hashing (Knuth)."""
-    chance = np.float32(np.int32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8))
-    return np.float32(chance * np.float32(2.0**-24))
 
 
 @compiled()
@@ -335,54 +324,21 @@ def _fill_bins(
         fills_bin[flat_bin] |= in_beam
 
 
-@compiled()
-def _spread(
-    pixel: Any, value: Any, ends: Any, tilt: Any, beam: Any, rows: Any, many: Any, first: Any,
-    scatterers: Any,
-) -> Any:  # fmt: skip
-    """Write a pixel's power as `many` scatterers, evenly between its ends; returns the next index.
-
-    Each lies at the same fraction of its part, which belongs to the pixel.
-    rows: range bins; what lies outside of them is left out.  first: index of the first scatterer.
-    ends, tilt, beam: see `_fill_bins`.  scatterers: see `place_scatterers`.
-    """
-    bin_of, power_of, pixel_of, part_of = scatterers
-    start, end = ends
-    beam_number, beams = beam
-    chance = _chance_of(pixel)
-    index = first
-    for number in range(many):
-        part = (np.float32(number) + chance) / np.float32(many)
-        row = int(np.floor(start + part * (end - start)))
-        if 0 <= row < rows:
-            first_part = np.float32(number) / np.float32(many)
-            last_part = np.float32(number + 1) / np.float32(many)
-            share = _share_before(last_part, tilt) - _share_before(first_part, tilt)
-            bin_of[index] = row * beams + beam_number
-            power_of[index] = value * share
-            pixel_of[index] = pixel
-            part_of[index] = part if end != start else _ZERO
-            index += 1
-    return index
-
-
 @compiled(
     f"int64({_CAMERA}, {_MATRIX}, Array(uint8, 2, 'C', readonly=True), {_MATRIX}, float32[::1],"
     f" Tuple((float32[:, ::1], float32[::1])), {_GRID}, float32[::1], float32,"
-    " Tuple((float32[::1], int32[::1], boolean[::1])),"
-    " Tuple((int32[::1], float32[::1], int32[::1], float32[::1])), int32[::1])"
+    " Tuple((float32[::1], int32[::1], boolean[::1])), float32[:, ::1], boolean[:, ::1])"
 )
 def place_scatterers(
     camera: Any, radiance: Float32s, labels: UInt8s, factor: Float32s,
     reflectivity: Float32s, sonar: Any, grid: Any, pattern: Float32s, widest_sine: float,
-    bins: Any, scatterers: Any, row_end: Int32s,
+    bins: Any, echoes: Float32s, joins_below: Bools,
 ) -> int:  # fmt: skip
-    """Each lit pixel as scatterers of polar bins; returns how many there are.
+    """The echo of each lit pixel, in exact parts of polar bins; returns how many echo.
 
     A pixel covers the ranges from its own to that of the pixel below it, where both are one
-    surface.  `power` gets its echo in exact parts.  A scatterer lies anywhere in between, one for
-    each range bin that it covers: at grazing incidence there are fewer pixels than bins.  There
-    its power density changes evenly from row to row, or the rows would show as stripes.
+    surface: at grazing incidence there are fewer pixels than bins.  There its power density changes
+    evenly from row to row, or the rows would show as stripes.
     Beams are cones, see `Echoes.in_conical_beams`.
 
     camera, grid: see above.  radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0;
@@ -392,8 +348,8 @@ def place_scatterers(
     pattern: vertical intensity pattern at equal steps of sin(elevation) from -1 to 1.
     bins: out, (bins,) each, summed power and last pixel of a bin (-1: none), and whether a pixel
     within sin(elevation) of +-widest_sine fills it.
-    scatterers: out, (at least pixels,) each, bin, power, pixel and part: how far towards the pixel
-    below, 0 to 1.  row_end: (H,) out, how many scatterers there are up to the end of each row.
+    echoes: (H, W) zeros, out, the power of each pixel.  joins_below: (H, W) out, whether the pixel
+    below one that echoes shows the same surface.
     """
     depth_m, across, down = camera
     rotation, position_m = sonar
@@ -436,7 +392,8 @@ def place_scatterers(
             step_above_m = z - depth_m[max(row - 1, 0), column]
             step_below_m = depth_m[min(row + 2, height - 1), column] - z_below
             start = end = starts[column]
-            if _is_one_surface(min(z, z_below), step_m, step_above_m, step_below_m):
+            is_joined = _is_one_surface(min(z, z_below), step_m, step_above_m, step_below_m)
+            if is_joined:
                 end = below[column]
             near = min(start, end)
             far = max(start, end)
@@ -457,323 +414,43 @@ def place_scatterers(
             span = far - near
             if span <= _ONE and near >= _ZERO and far < beyond:
                 _fill_two_bins(pixel, value, in_beam, (near, far), beam, bins)
-                tilt = _ZERO
-                many = 1
             else:
                 tilt = _density_tilt(
                     values[column], value_below[column], step_m, step_above_m, step_below_m
                 )
                 _fill_bins(pixel, value, in_beam, ends, tilt, beam, bins)
-                many = max(min(int(np.ceil(span)), _MOST_PARTS), 1)
-                # Each pixel still to come must find room for one.
-                if count + many + (height - row) * width > scatterers[0].shape[0]:
-                    many = 1
-            count = _spread(pixel, value, ends, tilt, beam, rows, many, count, scatterers)
-        row_end[row] = count
+            echoes[row, column] = value
+            joins_below[row, column] = is_joined
+            count += 1
     return count
 
 
-# --- cells of the world -----------------------------------------------------------------------
-
-
-@compiled()
-def _whole_origin(transform: Any) -> Any:
-    """The translation of a (3, 4) transform in whole cells, and what is left of it.
-
-    Whole cells apart, for 32 bits are converted faster than 64, and must be enough.
-    """
-    x = np.floor(transform[0, 3])
-    y = np.floor(transform[1, 3])
-    z = np.floor(transform[2, 3])
-    whole = (np.int32(np.int64(x)), np.int32(np.int64(y)), np.int32(np.int64(z)))
-    return whole, (transform[0, 3] - x, transform[1, 3] - y, transform[2, 3] - z)
-
-
-@compiled()
-def _place_in_camera(pixels: Any, parts: Any, ray_rows: Any, across: Any, places: Any) -> None:
-    """Places of scatterers of one row of pixels, in camera axes.
-
-    pixels: column of each plus the pixels of the rows before.  parts: how far towards the pixel
-    below each lies.  ray_rows: depths of the row and of the one below, both directions down, and
-    the pixels before.  places: (3, N) out.
-    """
-    here_m, below_m, down_here, down_below, before = ray_rows
-    xs = places[0]
-    ys = places[1]
-    zs = places[2]
-    for i in range(len(pixels)):
-        column = np.uint32(pixels[i] - before)
-        z = np.float64(here_m[column])
-        part = np.float64(parts[i])
-        y = down_here * z
-        z_below = np.float64(below_m[column])
-        ys[i] = y + part * (down_below * z_below - y)
-        zs[i] = z + part * (z_below - z)
-        xs[i] = np.float64(across[column]) * zs[i]
-
-
 @compiled(
-    f"void({_PLACES}, int32[::1], {_CAMERA}, float64[:, ::1], float64, uint32[::1], uint32[::1])"
-)
-def cells(
-    scatterers: Any, row_end: Int32s, camera: Any, world_from_camera: Float64s, cell_m: float,
-    name_of: UInt32s, place_of: UInt32s,
-) -> None:  # fmt: skip
-    """The world cells in which scatterers lie.
-
-    row_end: as `place_scatterers` gives it.  cell_m: edge of a cell, a cube.
-    name_of, place_of: (N,) out, the cell of each as a number that looks random, and where to look
-    for it in a table (neighbours are close together).
-    """
-    pixels, parts = scatterers
-    depth_m, across, down = camera
-    height, width = depth_m.shape
-    m = world_from_camera / cell_m
-    m00, m01, m02, _ = m[0]
-    m10, m11, m12, _ = m[1]
-    m20, m21, m22, _ = m[2]
-    (i0, i1, i2), (m03, m13, m23) = _whole_origin(m)
-    places = np.empty((3, _BLOCK))
-    us = np.empty(_BLOCK, np.int32)
-    vs = np.empty(_BLOCK, np.int32)
-    ws = np.empty(_BLOCK, np.int32)
-    stop = 0
-    for row in range(height):
-        below = min(row + 1, height - 1)
-        before = np.int32(row * width)
-        down_here = np.float64(down[row])
-        down_below = np.float64(down[below])
-        ray_rows = (depth_m[row], depth_m[below], down_here, down_below, before)
-        start = stop
-        stop = int(row_end[row])
-        # A block at a time: first what a processor does for many at once, then what it cannot.
-        for begin in range(start, stop, _BLOCK):
-            size = min(_BLOCK, stop - begin)
-            end = begin + size
-            _place_in_camera(pixels[begin:end], parts[begin:end], ray_rows, across, places)
-            for i in range(size):
-                x = places[0, i]
-                y = places[1, i]
-                z = places[2, i]
-                us[i] = np.int32(np.floor(m00 * x + m01 * y + m02 * z + m03))
-                vs[i] = np.int32(np.floor(m10 * x + m11 * y + m12 * z + m13))
-                ws[i] = np.int32(np.floor(m20 * x + m21 * y + m22 * z + m23))
-            names = name_of[begin:end]
-            table_places = place_of[begin:end]
-            for i in range(size):
-                first = np.int32(us[i] + i0)
-                second = np.int32(vs[i] + i1)
-                third = np.int32(ws[i] + i2)
-                names[i] = mixed(_corner(first, second, third))
-                # Eight cells, a cube, lie side by side: one line of the processor's memory.
-                block = mixed(
-                    _corner(first >> np.int32(1), second >> np.int32(1), third >> np.int32(1))
-                )
-                inside = np.uint32(first) & _1 | (np.uint32(second) & _1) << _1
-                table_places[i] = np.uint32(block << _3) | inside | (np.uint32(third) & _1) << _2
-
-
-@compiled("boolean(uint32[::1], uint32[::1], int64, uint32[:, ::1], uint32[:, ::1], float32[::1])")
-def count_cells(
-    name_of: UInt32s,
-    place_of: UInt32s,
-    parts: int,
-    table: UInt32s,
-    sorted_: UInt32s,
-    share_of: Float32s,
-) -> Any:
-    """1 / sqrt(points of its cell) for each point: amplitudes that add up coherently.
-
-    name_of, place_of: as `cells` gives them; share_of: (N,) out.  The cells are counted in parts,
-    a power of two, each with a table that a processor holds close by.
-    table: (slots, 2), slots a power of two; sorted_: (N, 2), both overwritten.
-    Returns False where a part does not fit the table; share_of then says nothing.
-    """
-    mask = np.uint32(table.shape[0] - 1)
-    last = np.uint32(parts - 1)
-    shift = np.uint32(0)
-    while np.uint32(1) << shift <= mask:
-        shift += np.uint32(1)
-    ends = np.zeros(parts + 1, np.int64)
-    for point in range(place_of.shape[0]):
-        ends[np.uint32((place_of[point] >> shift) & last) + np.uint32(1)] += 1
-    for number in range(parts):
-        if ends[number + 1] > np.int64(mask):
-            return False
-    for number in range(parts):
-        ends[number + 1] += ends[number]
-    # Name and place lie side by side: there are then only as many places to write to as parts.
-    free = ends[:-1].copy()
-    for point in range(name_of.shape[0]):
-        place = place_of[point]
-        among = np.uint32((place >> shift) & last)
-        at = np.uint32(free[among])
-        free[among] += 1
-        sorted_[at, 0] = name_of[point]
-        sorted_[at, 1] = place & mask
-    for part in range(parts):
-        table[:] = 0
-        for i in range(ends[part], ends[part + 1]):
-            at = np.uint32(i)
-            name = sorted_[at, 0]
-            slot = sorted_[at, 1]
-            # Linear probing: go on while the slot is taken (its count is not 0) by another cell
-            # (its name differs).  The product says both at once; `and` would become two branches,
-            # and whether a cell is new is unpredictable, so that wrong guesses would cost much.
-            while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
-                slot = np.uint32(slot + _9) & mask
-            table[slot, 0] = name
-            table[slot, 1] += _1
-            sorted_[at, 1] = slot
-        for i in range(ends[part], ends[part + 1]):
-            at = np.uint32(i)
-            sorted_[at, 0] = table[sorted_[at, 1], 1]
-    # In the order of the points again, each part being read from its beginning.
-    free = ends[:-1].copy()
-    for point in range(place_of.shape[0]):
-        among = np.uint32((place_of[point] >> shift) & last)
-        points_of_cell = np.float32(np.int32(sorted_[np.uint32(free[among]), 0]))
-        free[among] += 1
-        share_of[point] = np.float32(1) / np.sqrt(points_of_cell)
-    return True
-
-
-@compiled(
-    "void(int32[::1], float32[::1], uint32[::1], float32[::1], uint16[::1], uint32,"
+    "void(int32[::1], float32[::1], uint32[::1], uint16[::1], uint32,"
     f" UniTuple({_MATRIX}, 2), float32[:, ::1])"
 )
 def scatter(
-    bin_of: Int32s, root_of: Float32s, name_of: UInt32s, share_of: Float32s,
-    phase_of: UInt16s, key: int, tables: Any, bins: Float32s,
+    bin_of: Int32s, amplitude_of: Float32s, name_of: UInt32s, phase_of: UInt16s, key: int,
+    tables: Any, bins: Float32s,
 ) -> None:  # fmt: skip
-    """Add each point's amplitude times the coefficient of its cell to its bin; bins: (bins, 2).
+    """Add each point's amplitude times its coefficient to its bin; bins: (bins, 2).
 
-    The amplitude is root_of times share_of; share_of (0,): all 1.  The complex coefficient of a
-    cell is drawn by `key` from the first of the tables (65536, 2) and turned by
-    exp(-2 pi i phase / 65536), whose cosines and sines are the second; phase_of (0,): none.
+    The complex coefficient of a name is drawn by `key` from the first of the tables (65536, 2) and
+    turned by exp(-2 pi i phase / 65536), whose cosines and sines are the second; phase_of (0,):
+    none.
     """
     table, turns = tables
     for i in range(bin_of.shape[0]):
         at = bin_of[i]
         entry = mixed(np.uint32(name_of[i] ^ key)) >> _16
-        real = table[entry, 0]
-        imaginary = table[entry, 1]
-        if share_of.shape[0]:
-            real = share_of[i] * real
-            imaginary = share_of[i] * imaginary
-        real = root_of[i] * real
-        imaginary = root_of[i] * imaginary
+        real = amplitude_of[i] * table[entry, 0]
+        imaginary = amplitude_of[i] * table[entry, 1]
         if phase_of.shape[0]:
             c = turns[phase_of[i], 0]
             s = turns[phase_of[i], 1]
             real, imaginary = real * c + imaginary * s, imaginary * c - real * s
         bins[at, 0] += real
         bins[at, 1] += imaginary
-
-
-# A pixel is one surface with its right neighbour up to this step, a part of the depth.
-_STEP = 0.05
-# Points of a pixel across and down, at most.
-_MOST_ACROSS = 16
-_MOST_DOWN = 8
-
-
-@compiled()
-def _pixel_edges(camera: Any, pixel: Any, joins_below: Any) -> Any:
-    """A pixel's point in camera axes, and the ways to the points below and to the right of it.
-
-    A way is 0 where the neighbour is no part of the same surface.  joins_below: whether the one
-    below is.
-    """
-    depth_m, across, down = camera
-    height, width = depth_m.shape
-    row = pixel // width
-    column = pixel % width
-    z = np.float64(depth_m[row, column])
-    x = np.float64(across[column]) * z
-    y = np.float64(down[row]) * z
-    dx = dy = dz = np.float64(0)
-    if joins_below and row + 1 < height:
-        below = np.float64(depth_m[row + 1, column])
-        dx = np.float64(across[column]) * below - x
-        dy = np.float64(down[row + 1]) * below - y
-        dz = below - z
-    ex = ey = ez = np.float64(0)
-    if column + 1 < width:
-        right = np.float64(depth_m[row, column + 1])
-        if abs(right - z) < _STEP * z:
-            ex = np.float64(across[column + 1]) * right - x
-            ey = np.float64(down[row]) * right - y
-            ez = right - z
-    return (x, y, z), (dx, dy, dz), (ex, ey, ez)
-
-
-@compiled()
-def _slot_of(name_of: Any, place_of: Any, i: Any, j: Any, k: Any) -> Any:
-    """The slot of a cell in a table with linear probing; a cell that is new gets a free one."""
-    mask = np.uint32(name_of.shape[0] - 1)
-    name = np.uint32(mixed(_corner(i, j, k)) | _1)
-    slot = np.uint32(name >> _1) & mask
-    while name_of[slot] != 0 and name_of[slot] != name:
-        slot = np.uint32(slot + _1) & mask
-    if name_of[slot] == 0:
-        name_of[slot] = name
-        place_of[slot, 0] = np.int32(i)
-        place_of[slot, 1] = np.int32(j)
-        place_of[slot, 2] = np.int32(k)
-    return slot
-
-
-@compiled(
-    f"int64({_PLACES}, float32[::1], {_CAMERA}, float64[:, ::1], float64,"
-    " Tuple((uint32[::1], float32[::1], int32[:, ::1])))"
-)
-def gather(
-    scatterers: Any, powers: Float32s, camera: Any, world_from_camera: Float64s, cell_m: float,
-    cells: Any,
-) -> Any:  # fmt: skip
-    """Spread the scatterers over the cells of the world; returns how many points that takes.
-
-    Each pixel is filled with points half a cell apart, towards the pixel below and the one to the
-    right where these belong to the same surface.
-    cells: out, their number (looks random, not 0), power (slots,) and place (slots, 3); the first
-    two are zeros, slots a power of two, more than there are cells.  Of no slots it only counts.
-    """
-    pixels, parts = scatterers
-    name_of, power_of, place_of = cells
-    filling = name_of.shape[0] > 0
-    m = world_from_camera / cell_m
-    half_m = 0.5 * cell_m
-    count = np.int64(0)
-    first = 0
-    size = pixels.shape[0]
-    while first < size:
-        pixel = pixels[first]
-        last = first + 1
-        while last < size and pixels[last] == pixel:
-            last += 1
-        (x, y, z), (dx, dy, dz), (ex, ey, ez) = _pixel_edges(camera, pixel, parts[first] != 0)
-        many = last - first
-        sideways = int(np.ceil(np.sqrt(ex * ex + ey * ey + ez * ez) / half_m))
-        downward = int(np.ceil(np.sqrt(dx * dx + dy * dy + dz * dz) / many / half_m))
-        sideways = min(max(sideways, 1), _MOST_ACROSS)
-        downward = min(max(downward, 1), _MOST_DOWN)
-        count += many * sideways * downward
-        for number in range(many if filling else 0):
-            share = powers[first + number] / np.float32(sideways * downward)
-            for b in range(downward):
-                v = (number + (b + 0.5) / downward) / many
-                for a in range(sideways):
-                    u = (a + 0.5) / sideways - 0.5
-                    px = x + v * dx + u * ex
-                    py = y + v * dy + u * ey
-                    pz = z + v * dz + u * ez
-                    i = np.floor(m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz + m[0, 3])
-                    j = np.floor(m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3])
-                    k = np.floor(m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + m[2, 3])
-                    power_of[_slot_of(name_of, place_of, i, j, k)] += share
-        first = last
-    return count
 
 
 @compiled()

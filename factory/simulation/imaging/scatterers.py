@@ -1,4 +1,4 @@
-"""The scene as scatterers: every lit pixel has a power, a polar bin and a place in the world.
+"""The scene as scatterers: every lit pixel has a power and polar bins.
 
 A pixel of solid angle dO sees the area r^2 dO / cos(incidence).  Its echo is, over the source
 level and without absorption,
@@ -12,7 +12,7 @@ twice.  Only for another exponent or a sonar elsewhere are the cosines themselve
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -27,36 +27,31 @@ from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface, mount_weight, vertical_table
 from ..sonar.window import Window
 from .ghosts import GhostScatterers
-from .moving import MovingScatterers, moving_scatterers
 from .settings import CoherentSettings
 
 _BEAM_STEPS = 16_384
-# Slots of one part of the table of cells: a part fits the second cache of a core, and the parts are
-# so few that sorting into them is fast.
-_SLOTS = 131_072
 
 
 @dataclass(frozen=True, eq=False)
 class Scatterers:
-    """N scatterers of one frame.
+    """What echoes in one frame.
 
-    bins: (N,) int32 flat polar bin.  powers: (N,) float32 intensity over the source level, without
-    absorption.  pixels: (N,) int32 flat camera pixel; parts: (N,) float32, how far towards the one
-    below it lies, 0 to 1.  row_ends: (H,) int32, how many there are up to the end of each camera
-    row.
-    power: (range_bins, beams) float32, their sum a bin, with absorption: the sonar equation.
+    echoes: (H, W) float32, intensity of each camera pixel over the source level, without
+    absorption; 0 where nothing echoes.  count: how many pixels echo.
+    joins_below: (H, W) bool, of a pixel that echoes, whether the one below shows the same surface.
+    surface_power: (range_bins, beams) float32, the sum of the echoes a bin.
+    power: the same with ghosts and absorption: the sonar equation.
     owner: (range_bins, beams) int32, a pixel that lies in the bin, -1 where none does.
     in_beam: (range_bins, beams) bool, whether one within vfov_deg does.
     loss: (range_bins,) float32 two-way absorption as a factor on intensity.
     world_from_camera: (4, 4) float64; the identity where the recording has no pose.
-    ghosts: what surfaces mirror once; its power is in `power`, too.
+    ghosts: what surfaces mirror once.
     """
 
-    bins: Int32s
-    powers: Float32s
-    pixels: Int32s
-    parts: Float32s
-    row_ends: Int32s
+    echoes: Float32s
+    count: int
+    joins_below: Bools
+    surface_power: Float32s
     power: Float32s
     owner: Int32s
     in_beam: Bools
@@ -64,33 +59,24 @@ class Scatterers:
     frame: Frame
     world_from_camera: Float64s
     ghosts: GhostScatterers | None = None
-    _cells: dict[float, tuple[UInt32s, Float32s]] = field(default_factory=dict)
 
-    def world_cells(self, edge_m: float) -> tuple[UInt32s, Float32s]:
-        """The world cells of this edge in which the scatterers lie: names and shares.
+    def moving_pixels(self) -> tuple[Int32s, Int32s, Float64s, UInt32s]:
+        """Pixels of moving objects, as `grain_kernels.strew` wants them.
 
-        (N,) uint32 hashes of the cells, and (N,) float32 1 / sqrt(scatterers of the cell), a factor
-        on amplitudes: the scatterers of a cell share its coefficient, and its power is the sum of
-        theirs.
+        Flat pixels, bodies, (M, 3) places in their own axes, and what keeps the names of each body
+        apart.
         """
-        if edge_m not in self._cells:
-            from . import kernels  # loads numba
-
-            pose = np.ascontiguousarray(self.world_from_camera[:3])
-            names, places = np.empty((2, len(self.pixels)), np.uint32)
-            scatterers = (self.pixels, self.parts)
-            rays = tuple(camera_rays(self.frame))
-            kernels.cells(scatterers, self.row_ends, rays, pose, edge_m, names, places)
-            for own in self.moving:
-                names[own.index], places[own.index] = own.cells(edge_m)
-            self._cells.clear()
-            self._cells[edge_m] = names, shares(names, places)
-        return self._cells[edge_m]
-
-    @cached_property
-    def moving(self) -> tuple[MovingScatterers, ...]:
-        """The scatterers of each moving object."""
-        return moving_scatterers(self.frame, self.pixels, self.parts)
+        moving = self.frame.moving
+        if moving is None:
+            none = np.empty(0, np.int32)
+            return none, none, np.empty((0, 3)), np.empty(0, np.uint32)
+        salts = np.array([body.salt for body in moving.bodies], np.uint32)
+        return (
+            np.ascontiguousarray(moving.pixel, np.int32),
+            np.ascontiguousarray(moving.body, np.int32),
+            np.ascontiguousarray(moving.own_m, np.float64),
+            salts,
+        )
 
     @cached_property
     def surface(self) -> tuple[Int32s, Float32s]:
@@ -108,25 +94,6 @@ class Scatterers:
         return bins, np.stack([rays.across[column] * z, rays.down[row] * z, z])
 
 
-def shares(names: UInt32s, places: UInt32s) -> Float32s:
-    """(N,) float32 amplitude factors of scatterers, as `Scatterers.world_cells` describes them.
-
-    names, places: (N,) uint32 each, as `kernels.cells` gives them.
-    """
-    from . import kernels  # loads numba
-
-    shares_out = np.empty(len(names), np.float32)
-    work = np.empty((len(names), 2), np.uint32)
-    slots = 1 << (2 + len(names).bit_length())
-    parts = max(slots // _SLOTS, 1)
-    # A part that overflows its table makes the loop give up; fewer parts have larger tables.
-    while not kernels.count_cells(
-        names, places, parts, np.empty((slots // parts, 2), np.uint32), work, shares_out
-    ):
-        parts //= 2
-    return shares_out
-
-
 def scatterers(
     surface: LitSurface, water: WaterSettings, acoustics: CoherentSettings
 ) -> Scatterers:
@@ -140,13 +107,11 @@ def scatterers(
     sonar = surface.sonar
     window = surface.window
     shape = (sonar.range_bins, sonar.beams)
-    most = 2 * frame.depth_m.size
     power = np.zeros(shape, np.float32)
     owner = np.full(shape, -1, np.int32)
     in_beam = np.zeros(shape, np.bool_)
-    bins, pixels = np.empty((2, most), np.int32)
-    powers, parts = np.empty((2, most), np.float32)
-    row_ends = np.empty(len(frame.depth_m), np.int32)
+    echoes = np.zeros(frame.depth_m.shape, np.float32)
+    joins_below = np.zeros(frame.depth_m.shape, np.bool_)
     labels = np.empty((0, 0), np.uint8) if frame.segmentation is None else frame.segmentation
     echo, exponents = np.array(acoustics.of_classes()).T
     echo = echo / (frame.intrinsics.fx * frame.intrinsics.fy)  # the middle pixel's solid angle
@@ -155,12 +120,13 @@ def scatterers(
         echo.astype(np.float32), sonar.mount.axes(), grid_of(window, sonar),
         vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
         (power.reshape(-1), owner.reshape(-1), in_beam.reshape(-1)),
-        (bins, powers, pixels, parts), row_ends,
+        echoes, joins_below,
     )  # fmt: skip
     if not count:
         raise FrameError(f"{frame.ref.name}: no echo inside the sonar's sector; check sonar.mount")
     pose = np.eye(4) if frame.world_from_camera is None else frame.world_from_camera
     ghosts = _place_ghosts(surface, echo, pose)
+    surface_power = power.copy()
     if ghosts is not None:
         power += np.bincount(ghosts.bins, ghosts.powers, power.size).reshape(shape)
     range_m = bin_centres_m(window, sonar).astype(np.float64)
@@ -168,11 +134,10 @@ def scatterers(
     loss = (10 ** (-2 * absorption * range_m / 10)).astype(np.float32)
     power *= loss[:, None]
     return Scatterers(
-        bins=bins[:count],
-        powers=powers[:count],
-        pixels=pixels[:count],
-        parts=parts[:count],
-        row_ends=row_ends,
+        echoes=echoes,
+        count=count,
+        joins_below=joins_below,
+        surface_power=surface_power,
         power=power,
         owner=owner,
         in_beam=in_beam,

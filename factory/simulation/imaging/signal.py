@@ -8,12 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...common.array_types import Float32s, Float64s, Int32s, UInt16s, UInt32s
+from ...common.array_types import Float32s, Float64s
 from ..sonar import array, polar, transfer
 from ..sonar.array import ArraySettings, WaterSettings, thermal_noise_db
 from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface
 from ..sonar.window import Window
+from .grain import PointEchoes, grain_points
 from .scatterers import Scatterers, bin_centres_m, scatterers
 from .settings import CoherentSettings
 
@@ -35,23 +36,6 @@ class Signal:
 
     power: Float32s
     field: Float32s
-
-
-class PointEchoes(NamedTuple):
-    """N points that echo coherently, in the order of the arguments of `kernels.scatter`.
-
-    bins: (N,) int32 flat polar bin.
-    amplitudes: (N,) float32 root of the power without absorption.
-    cells: (N,) uint32 name of the world cell whose random coefficient the point has.
-    shares: (N,) float32 factor on amplitudes; (0,): all 1.
-    phases: (N,) uint16 phase of the two-way path, 65536ths of a turn; (0,): all 0.
-    """
-
-    bins: Int32s
-    amplitudes: Float32s
-    cells: UInt32s
-    shares: Float32s
-    phases: UInt16s
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +66,16 @@ class Ping:
         """All that echoes; raises FrameError when nothing does."""
         raw = replace(self.surface, sonar=self.sonar)
         return scatterers(raw, self.water, self.acoustics)
+
+    @cached_property
+    def grain(self) -> PointEchoes:
+        """The points whose echoes make its grain, without phases; see `grain_points`."""
+        return grain_points(self, 0.0)
+
+    @cached_property
+    def phased_grain(self) -> PointEchoes:
+        """The same points with the phases of their two-way paths."""
+        return grain_points(self, 2000 * self.sonar.frequency_khz / self.water.sound_speed_m_s())
 
     @property
     def shape(self) -> tuple[int, int]:

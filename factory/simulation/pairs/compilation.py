@@ -24,8 +24,8 @@ IMAGE_LOOPS = (
     f"{_SIMULATION}.sonar.kernels",
 )
 SCENE_LOOPS = (f"{_SIMULATION}.meshes.kernels", f"{_SIMULATION}.scenes.seabed.kernels")
-FIELD = f"{_SIMULATION}.imaging.kernels"
-LOOPS = (*IMAGE_LOOPS, *SCENE_LOOPS, FIELD)
+FIELD_LOOPS = (f"{_SIMULATION}.imaging.kernels", f"{_SIMULATION}.imaging.grain_kernels")
+LOOPS = (*IMAGE_LOOPS, *SCENE_LOOPS, *FIELD_LOOPS)
 
 _LOADING = "loading kernels; the first time on a machine compiles them, about 20 s"
 
@@ -40,7 +40,7 @@ def compile_needed(*, scenes: str = "", field: bool = False) -> None:
     if scenes in ("seabed", "mesh"):
         names.extend(SCENE_LOOPS)
     if field:
-        names.append(FIELD)
+        names.extend(FIELD_LOOPS)
     if all(name in sys.modules for name in names):
         return
     with _alone(), stage_if_slow(_LOADING, after_s=2.0):

@@ -45,7 +45,7 @@ BASES: dict[str, tuple[str, ...]] = {
     ),
     "coherent": PHYSICAL,
     "coherent, level": (
-        *PHYSICAL, "noise=moving", "noise.path_speckle.scatterer_m=0.02",
+        *PHYSICAL, "noise=moving",
         "acoustics.standing=0.3", "acoustics.target=mean_log", "sonar.range.auto=false",
         "sonar.range.max_m=4", "water.depth_m=1", "dataset.layers=[intensity_db,segmentation]",
         "sonar.array.horizontal.window=taylor",

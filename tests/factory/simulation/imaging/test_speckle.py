@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from simnfnd.factory.common.errors import FrameError
 from simnfnd.factory.simulation.imaging import expected, kernels
 from simnfnd.factory.simulation.imaging.coherent import CoherentSample, received
 from simnfnd.factory.simulation.imaging.signal import (
@@ -22,7 +21,6 @@ from simnfnd.factory.simulation.imaging.signal import (
     mixing,
     white_noise,
 )
-from simnfnd.factory.simulation.noise.path_speckle import PATH_SPECKLE, default_cell_m
 from simnfnd.factory.simulation.noise.texture import gamma_of_normal
 from simnfnd.factory.simulation.pairs.pair_maker import ObservedFrame, make_pair, observe
 from tests.constant_field import (
@@ -35,7 +33,7 @@ from tests.constant_field import (
     slope,
 )
 
-SPECKLE = {"speckle": {"scatterer_m": 0.004}}
+SPECKLE: dict[str, Any] = {"speckle": {}}
 EDGE = (slice(20, -20), slice(20, -20))
 
 
@@ -65,7 +63,7 @@ def test_speckle_is_fully_developed() -> None:
 
 @pytest.mark.parametrize("looks", [2, 4])
 def test_looks_make_it_gamma(looks):
-    actual = many(config(noise={"speckle": {"looks": looks, "scatterer_m": 0.004}}), 6) ** 2
+    actual = many(config(noise={"speckle": {"looks": looks}}), 6) ** 2
     assert actual.mean() == pytest.approx(1, rel=0.03)
     assert actual.mean() ** 2 / actual.var() == pytest.approx(looks, rel=0.04)
     theory = stats.gamma(looks, scale=actual.mean() / looks)
@@ -124,7 +122,7 @@ def test_the_grain_is_the_point_spread(bins, beams):
 
 
 def _frame_speckle(pose_m: tuple[float, float, float], name: str, posed: bool = True) -> np.ndarray:
-    settings = config(noise={"speckle": {"scatterer_m": 0.01}})
+    settings = config(noise=SPECKLE)
     frame, rendered = slope(pose_m, name)
     if not posed:
         frame = replace(frame, world_from_camera=None)
@@ -184,7 +182,7 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
     display = {"kind": "log", "percentile": 50, "reference": 0.6, "dynamic_range_db": 80}
     array = {"bandwidth_khz": 60.0, "pulse": {"window": window}}
     settings = config(
-        noise={"speckle": {"scatterer_m": 0.002}},
+        noise=SPECKLE,
         sonar={
             "range_bins": 96, "samples_per_bin": samples, "array": array, "transfer": display,
         },
@@ -264,15 +262,6 @@ def test_a_sonar_at_rest_sees_the_same_to_the_byte():
         frame, rendered = slope((0.01, 0.0, 0.0), name)
         pairs.append(make_pair(observe(frame, rendered, SETTINGS), 0, SETTINGS))
     assert np.array_equal(pairs[0].noisy, pairs[1].noisy)
-
-
-def test_cells_too_small_are_refused():
-    frame, rendered = slope((0.0, 0.0, 0.0))
-    ping = ping_of(observe(frame, rendered, SETTINGS))
-    cell_m = default_cell_m(ping)
-    assert cell_m == 2.0 ** round(np.log2(cell_m))
-    with pytest.raises(FrameError, match="scatterer_m"):
-        PATH_SPECKLE.function(None, ping, None, looks=1, scatterer_m=1e-4)
 
 
 # --- Partly static speckle: what the clean image keeps of it ---

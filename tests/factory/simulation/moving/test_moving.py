@@ -129,7 +129,7 @@ def test_objects_change_neither_window_nor_scale_nor_the_static_layer():
 
 def grains(effect: str, actors: list[Any], times_s: list[float], side_m: float) -> Any:
     """Correlation of an object's grain with that of the first time, as it moves along range."""
-    config = settings(acoustics=SILENT_GROUND, noise={effect: {"scatterer_m": 0.02}})
+    config = settings(acoustics=SILENT_GROUND, noise={effect: {}})
     actual = []
     for time_s in times_s:
         observed_frame = observe_moment(moment(actors, time_s), config)
