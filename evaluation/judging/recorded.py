@@ -1,9 +1,8 @@
 """Images and frames of real sonars, read when their turn comes, with their geometry.
 
-Folders whose geometry is known are the Marine Debris Dataset as it is, or images with
-geometry.csv, which has one line an image and these columns (docs/realism.md): file (`*` for all
-that have no line of their own), layout, hfov_deg and, for fans, apex_x_px, apex_y_px, near_px,
-far_px; optional x_scale, range_min_m and range_max_m.
+A folder of images may state their geometry in geometry.csv, which has one line an image and these
+columns (docs/realism.md): file (`*` for all that have no line of their own), layout, hfov_deg and,
+for fans, apex_x_px, apex_y_px, near_px, far_px; optional x_scale, range_min_m and range_max_m.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from ...factory.common.errors import FactoryError
 from ...factory.common.files import real_path
 from ...factory.dataset import PairDataset
 from ...factory.dataset.fan_geometry import FanGeometry
-from ...models.recordings import DATASET, IMAGE_SUFFIXES, dataset_of, kind_of, open_recording
+from ...models.recordings import DATASET, dataset_of, kind_of, open_recording
 from ...models.recordings.device_settings import RecordedSettings
 from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.names import in_order
@@ -30,28 +29,6 @@ from ...models.recordings.views import frame_image, frame_settings
 from ..metrics.measure import Grey
 
 GEOMETRY_FILE = "geometry.csv"
-
-MDD_SHAPE = (480, 320)
-MDD_GEOMETRIES = {
-    "A": FanGeometry.fan(
-        math.radians(29.4), apex_x_px=159.3, apex_y_px=602.5, near_px=139.5, far_px=575.5
-    ),
-    "B": FanGeometry.fan(
-        math.radians(29.6),
-        apex_x_px=159.3,
-        apex_y_px=748.5,
-        near_px=291.5,
-        far_px=718.5,
-        x_scale=0.8,
-    ),
-}
-"""The two fans that the images of the Marine Debris Dataset mix; metres are not published.
-
-Measured on the edges of the sector in its images, and drawn in by the one or two pixels over
-which they fade to black; B shows x squeezed to 0.8 of y.
-"""
-# The fit of an image's black border to a fan: intersection over union below which it is none.
-_LEAST_OVERLAP = 0.9
 
 
 @dataclass(frozen=True)
@@ -117,9 +94,8 @@ def open_input(
         stretches = [_recording(root, root.name)]
     elif not root.exists():
         raise FactoryError(f"{key}={root}: no such folder or recording")
-    elif (root / "Images").is_dir() or (root / GEOMETRY_FILE).is_file():
-        shots, notes = _with_geometry(root)
-        stretches = [Stretch(real_path(root).name, shots)]
+    elif (root / GEOMETRY_FILE).is_file():
+        stretches = [Stretch(real_path(root).name, _with_table(root / GEOMETRY_FILE))]
     else:
         stretches = _below(root)
     if not stretches:
@@ -152,49 +128,6 @@ def open_real(location: str | Path) -> tuple[list[RecordedImage], tuple[str, ...
     return shots_with_fans, notes
 
 
-def _with_geometry(root: Path) -> tuple[tuple[RecordedImage, ...], tuple[str, ...]]:
-    """The images of a folder whose geometry is known, by name, and notes."""
-    images = root / "Images" if (root / "Images").is_dir() else root
-    files = sorted(path for path in images.iterdir() if path.is_file())
-    paths = in_order([path for path in files if kind_of(path) == "images"])
-    if not paths:
-        raise FactoryError(
-            f"real={root}: no images ({', '.join(IMAGE_SUFFIXES)}) there or in its Images/"
-        )
-    table = root / GEOMETRY_FILE
-    if table.is_file():
-        return _with_table(table, paths), ()
-    shots = []
-    counts = dict.fromkeys(MDD_GEOMETRIES, 0)
-    for path in paths:
-        name = mdd_geometry(frame_of(path, 0)[0])
-        if name is None:
-            raise FactoryError(
-                f"{path}: neither of the two fans of the Marine Debris Dataset (320x480, black "
-                f"outside the sector); write {table} (docs/realism.md says how)"
-            )
-        counts[name] += 1
-        shots.append(RecordedImage(path, 0, path.name, MDD_GEOMETRIES[name]))
-    mix = ", ".join(f"{count} of geometry {name}" for name, count in counts.items() if count)
-    return tuple(shots), (f"Marine Debris Dataset: {mix}",)
-
-
-def mdd_geometry(image: Floats) -> str | None:
-    """Which fan of the Marine Debris Dataset an image shows, by its black border; None: neither.
-
-    The original download does not say it, so it is looked up in each image.
-    """
-    if image.shape != MDD_SHAPE:
-        return None
-    across = outline(image)
-    agreement = {}
-    for name, geometry in MDD_GEOMETRIES.items():
-        sector = geometry.sector_mask(*MDD_SHAPE)
-        agreement[name] = float((across & sector).sum() / max((across | sector).sum(), 1))
-    best = max(agreement, key=lambda name: agreement[name])
-    return best if agreement[best] >= _LEAST_OVERLAP else None
-
-
 def outline(image: Floats) -> Bools:
     """(H, W) bool: what lies between the first and the last lit pixel of each row.
 
@@ -206,11 +139,13 @@ def outline(image: Floats) -> Bools:
     return np.asarray(left & right)
 
 
-def _with_table(table: Path, paths: list[Path]) -> tuple[RecordedImage, ...]:
-    """The images with the fans that a table gives them, one line each or one for all (`*`).
+def _with_table(table: Path) -> tuple[RecordedImage, ...]:
+    """The images beside a table with the fans that it gives them, one line each or for all (`*`).
 
     Raises FactoryError for a damaged table, and for images or lines without the other.
     """
+    files = sorted(path for path in table.parent.iterdir() if path.is_file())
+    paths = in_order([path for path in files if kind_of(path) == "images"])
     lines = dict[str, FanGeometry]()
     number = 1
     try:

@@ -32,8 +32,9 @@ MOST_OTHERS = 24
 """Frames that make a reference, those nearest in time: more would hardly change the mean."""
 
 FOLDS = 2
-MOST_FRAMES = 6
-"""Frames that a filter is tuned on; of several groups one each."""
+FRAMES_OF_A_GROUP = 2
+MOST_FRAMES = 16
+"""Frames that a filter is tuned on, and of each group where there are several."""
 
 _MARGIN_PX = 2.0  # of the sector that does not count, beside what the scene moves
 _LEAST_STILL = 0.25  # share of the sector that must be static
@@ -204,14 +205,13 @@ def parts_of(groups: Sequence[Group]) -> list[GroupPart]:
         tuning = {0: tuple(evenly(range(half), MOST_FRAMES))}
         return [GroupPart(tuple(range(half, count)), 0, tuning)]
     # A part of many groups is enough to tune on.
-    used = {
-        n for fold in range(FOLDS) for n in evenly(range(fold, len(groups), FOLDS), MOST_FRAMES)
-    }
+    most = MOST_FRAMES // FRAMES_OF_A_GROUP
+    used = {n for fold in range(FOLDS) for n in evenly(range(fold, len(groups), FOLDS), most)}
     parts = []
     for number, group in enumerate(groups):
         every = range(len(group.shots))
         next_fold = (number + 1) % FOLDS
-        tuning = {next_fold: (len(every) // 2,)} if number in used else {}
+        tuning = {next_fold: tuple(evenly(every, FRAMES_OF_A_GROUP))} if number in used else {}
         parts.append(GroupPart(tuple(every), number % FOLDS, tuning))
     return parts
 

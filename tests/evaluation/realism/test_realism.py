@@ -23,7 +23,7 @@ from simnfnd.evaluation.metrics import features as statistics
 from simnfnd.evaluation.metrics.features import FEATURES, features_of
 from simnfnd.evaluation.realism import calibrate as search
 from simnfnd.evaluation.realism.calibrate import Simulation
-from simnfnd.evaluation.realism.report import distances, real_images, to_polar
+from simnfnd.evaluation.realism.report import distances, to_polar
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
@@ -36,7 +36,6 @@ from tests.evaluation.evaluation_settings import polar_folder, sonar_image, spec
 from tests.project_files import ROOT
 
 SHARED = ROOT.parent / "shared" / "data"
-MDD = SHARED / "mdd"
 ARIS = SHARED / "aris-sdk" / "sample.aris"
 LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
 
@@ -75,24 +74,6 @@ def test_bearings_without_data_are_left_out_and_squeezed_images_stretched() -> N
         # Rows are ranges, near first.
         assert polar[0].mean() == pytest.approx(50 + 230 / 128, abs=0.05)
         assert polar.std(axis=1).max() < 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not MDD.is_dir(), reason="needs the MDD sample in ../shared/data")
-def test_every_real_image_gets_the_geometry_it_was_measured_to_have() -> None:
-    lines = (MDD / "fan_geometry.csv").read_text().splitlines()[1:]
-    known = dict(line.split(",")[:2] for line in lines)
-    actual = recorded.open_real(MDD)
-    shots, _ = actual
-    assert len(shots) == len(known) == 117
-    names = {geometry: name for name, geometry in recorded.MDD_GEOMETRIES.items()}
-    assert {shot.name: names[shot.known] for shot in shots if shot.known} == known
-    # No black border is left in the polar image.
-    image, geometry = real_images(MDD).sources[0].read()
-    assert geometry is not None
-    polar = to_polar(image, geometry, Grid())
-    assert polar.shape == (440, 128)
-    assert (polar[2:-2, 2:-2] == 0).mean() < 0.01
 
 
 def test_geometry_files_and_recordings_are_checked(tmp_path: Path) -> None:
