@@ -18,8 +18,7 @@ from ..recordings.arrays import ArrayFile
 from ..recordings.base import FULL_SCALE, PORTABLE_SUFFIXES, Recording, swapped
 from ..recordings.numpy_files import write_array
 from ..recordings.portable_maps import encode_portable
-from ..recordings.stacks import StackFile
-from ..recordings.tiff import DESCRIPTION, Tags
+from ..recordings.tiff_files import DESCRIPTION, StackFile, Tags
 from ..recordings.videos import VideoFile
 from .animation_writer import write_animation
 from .removed import SHOWN

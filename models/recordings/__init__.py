@@ -32,7 +32,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "oculus": ("sonar_files:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": ("videos:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
-    "stack": ("stacks:StackFile", ()),
+    "stack": ("tiff_files:StackFile", ()),
     "animation": ("animations:Animation", (".gif", ".apng")),
     "array": ("arrays:ArrayFile", (".npz", ".mat")),
     "images": ("images:ImageFiles", IMAGE_SUFFIXES),
@@ -77,7 +77,7 @@ def kind_of(path: Path) -> str | None:
             is_shard = suffix in HDF5_SUFFIXES and is_shard_file(path)
             return None if is_shard else kind_of_array(path)
         if suffix in TIFF_SUFFIXES:
-            from .stacks import is_stack
+            from .tiff_files import is_stack
 
             return "stack" if is_stack(path) else "images"
         if suffix in ANIMATED_SUFFIXES:

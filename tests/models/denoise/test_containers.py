@@ -23,7 +23,7 @@ from simnfnd.models.denoise.writers import write_frames
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.fan_tracking import FanTracker
 from simnfnd.models.recordings.hdf5_files import counting_axis
-from simnfnd.models.recordings.page_axes import axes_of
+from simnfnd.models.recordings.images import read_image
 from simnfnd.models.recordings.videos import VideoProperties
 from tests.models.denoise.untrained import main
 from tests.models.recordings.fan_images import fan, preset
@@ -160,18 +160,55 @@ def test_interval_and_scale_of_imagej(tmp_path: Path) -> None:
         ('{"shape": [4, 5, 7, 3]}', (5, 7, 3), [""] * 4),
     ],
 )
-def test_axes_of_pages(text: str, shape: tuple[int, ...], sequences: list[str]) -> None:
-    axes = axes_of(text, shape)
-    assert axes is not None
-    assert [axes.sequence_of(page) for page in range(axes.page_count)] == sequences
+def test_axes_of_pages(
+    tmp_path: Path, text: str, shape: tuple[int, ...], sequences: list[str]
+) -> None:
+    path = write_described(tmp_path / "a.tif", text, shape, len(sequences))
+    with open_recording(path) as recording:
+        assert [frame.sequence for frame in recording] == sequences
+
+
+def write_described(path: Path, text: str, shape: tuple[int, ...], pages: int) -> Path:
+    """A TIFF file of pages of one shape, whose first one has this description."""
+    planes = {"photometric": "rgb", "planarconfig": "separate" if shape[0] == 3 else "contig"}
+    options: Any = planes if len(shape) == 3 else {"photometric": "minisblack"}
+    with tifffile.TiffWriter(path) as writer:
+        for number in range(pages):
+            described = {"description": text} if number == 0 else {}
+            page = np.full(shape, number, np.uint8)
+            writer.write(page, contiguous=False, metadata=None, **options, **described)
+    return path
 
 
 @pytest.mark.parametrize(
     "text",
     ['{"shape": 3}', '{"shape": [-1, 5, 7]}', '{"shape": [2, 9, 9]}', "ImageJ=\nimages=0", "<OME>"],
 )
-def test_descriptions_that_say_nothing(text: str) -> None:
-    assert axes_of(text, (5, 7)) is None
+def test_descriptions_that_say_nothing(tmp_path: Path, text: str) -> None:
+    with open_recording(write_described(tmp_path / "a.tif", text, (5, 7), 3)) as recording:
+        assert [frame.sequence for frame in recording] == [""] * 3
+
+
+def test_a_small_page_before_each_image_is_left_out(tmp_path: Path) -> None:
+    frames = pings(4, 64, 48)
+    marked, plain = tmp_path / "marked.tif", tmp_path / "plain.tif"
+    with tifffile.TiffWriter(marked) as writer:
+        for frame in frames:
+            writer.write(frame[::8, ::8], subfiletype=1, metadata=None)
+            writer.write(frame, metadata=None)
+    with tifffile.TiffWriter(plain) as writer:
+        writer.write(frames[0][::8, ::8], metadata=None)
+        for frame in frames:
+            writer.write(frame, metadata=None)
+    for path, left_out in ((marked, 4), (plain, 1)):
+        with open_recording(path) as recording:
+            np.testing.assert_array_equal([frame.samples for frame in recording], frames)
+            assert f"{left_out} pages are left out" in recording.warning
+    single = tmp_path / "single.tif"
+    with tifffile.TiffWriter(single) as writer:
+        writer.write(frames[0][::8, ::8], subfiletype=1, metadata=None)
+        writer.write(frames[0], metadata=None)
+    np.testing.assert_array_equal(read_image(single), frames[0])
 
 
 # --- PGM ------------------------------------------------------------------------------------------

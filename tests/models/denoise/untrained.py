@@ -10,7 +10,7 @@ import torch
 
 from simnfnd.factory.common.array_types import Array, Float32s, Float64s
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.models.denoise import command
+from simnfnd.models.denoise import options
 from simnfnd.models.denoise.journal import JOURNAL_NAME
 from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.networks import build_network
@@ -45,7 +45,7 @@ def through_network(weights: Path, image: Array) -> Float64s:
 
 def main(words: Sequence[str]) -> int:
     """`simnfnd denoise`, each frame alone, so that its result is easy to predict."""
-    return command.main([*words, "--frames", "1"])
+    return options.main([*words, "--frames", "1"])
 
 
 def results_in(out: Path) -> list[str]:
