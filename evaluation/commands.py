@@ -9,9 +9,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
     from .judging.settings import EvaluationSettings
 
 
-S = TypeVar("S")
-
-
 def report(words: Sequence[str]) -> int:
     """`simnfnd evaluate dataset=DIR ...`."""
     from .judging.settings import EvaluationSettings
@@ -39,84 +37,93 @@ def report(words: Sequence[str]) -> int:
 
 def tune(words: Sequence[str]) -> int:
     """`simnfnd evaluate tune dataset=DIR ...`: all baselines, when none is named."""
-    chosen = any(word.startswith("baselines=") for word in words)
     from .judging.settings import EvaluationSettings
 
-    return run_app(
-        _tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])], EvaluationSettings
-    )
+    if not any(word.startswith("baselines=") for word in words):
+        words = [*words, "baselines=[all]"]
+    return run_app(_tune, "evaluation", words, EvaluationSettings)
 
 
 def real(words: Sequence[str]) -> int:
     """`simnfnd evaluate real IN [KEY=VALUE ...]`."""
-    from .judging.settings import RealSettings
-
-    return run_app(_real, "real", _named(words, "real"), RealSettings)
+    overrides = _named(words, "real")
+    return _run("real", overrides, "RealSettings", real="images or a recording")
 
 
 def targets(words: Sequence[str]) -> int:
     """`simnfnd evaluate targets RECORDING... [KEY=VALUE ...]`."""
-    from .judging.settings import TargetsSettings
-
-    return run_app(
-        _targets, "targets", _named(_as_keys(words), None, "recordings"), TargetsSettings
-    )
+    overrides = _named(words, None, "recordings")
+    hint = "a static recording or several"
+    return _run("targets", overrides, "TargetsSettings", recordings=hint)
 
 
 def transfer(words: Sequence[str]) -> int:
     """`simnfnd evaluate transfer [DATASET] REAL [--quick] [KEY=VALUE ...]`."""
-    from .judging.settings import TransferReportSettings
-
-    return run_app(_transfer, "transfer", _transfer_words(words), TransferReportSettings)
+    return _run("transfer", _transfer_words(words), "TransferReportSettings")
 
 
 def realism(words: Sequence[str]) -> int:
     """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
-    from .judging.settings import RealismSettings
-
-    return run_app(_realism, "realism", _named(words, "real", "sim"), RealismSettings)
+    hint = "both folders"
+    return _run("realism", _named(words, "real", "sim"), "RealismSettings", real=hint, sim=hint)
 
 
 def fit(words: Sequence[str]) -> int:
     """`simnfnd evaluate fit REAL [KEY=VALUE ...] [-- WORDS OF simnfnd make]`."""
-    own = list(words)
-    recipe = []
-    if "--" in own:
-        place = own.index("--")
-        recipe = [f"recipe={_listed(own[place + 1 :])}"]
-        own = own[:place]
-    from .judging.settings import FitSettings
+    split = list(words).index("--") if "--" in words else len(words)
+    overrides = _named(words[:split], "real")
+    if recipe := words[split + 1 :]:
+        overrides.append(f"recipe={_listed(recipe)}")
+    return _run(
+        "fit", overrides, "FitSettings", "realism.calibrate", real="a folder of real images"
+    )
 
-    return run_app(_fit, "fit", [*_named(own, "real"), *recipe], FitSettings)
+
+def _run(name: str, words: Sequence[str], settings: str, module: str = "", **required: str) -> int:
+    """Run `evaluate` of a module on the settings of conf/<name>.yaml.
+
+    settings: name of their class.  module: that of the report by default.
+    required: key that must be given -> what to give.
+    """
+    kind = getattr(import_module(".judging.settings", __package__), settings)
+
+    def task(config: DictConfig) -> None:
+        values = _values(config)
+        for key, hint in required.items():
+            if not values[key]:
+                raise FactoryError(f"{key}: give {hint} (see `simnfnd evaluate --help`)")
+        checked = build(kind, values)
+        require(_needs("models=", getattr(checked, "models", ())))
+        import_module(f".{module or f'{name}.report'}", __package__).evaluate(checked)
+
+    return run_app(task, name, words, kind)
 
 
 def _named(words: Sequence[str], first_key: str | None, rest_key: str | None = None) -> list[str]:
-    """Paths as overrides: the first one of `first`, the others a list of `rest`.
+    """Paths as overrides: the first one of `first`, the others a list of `rest`."""
+    paths = _paths(words)
+    overrides = [word for word in words if word not in paths]
+    if paths and first_key is not None:
+        overrides.append(f"{first_key}={quote(paths.pop(0))}")
+    if paths:
+        if rest_key is None:
+            raise FactoryError(f"{paths[0]}: unexpected; only one folder is taken here")
+        overrides.append(f"{rest_key}={_listed(paths)}")
+    return overrides
 
-    A word with `=` is one when a file or folder has that name.
-    """
-    plain = [
+
+def _paths(words: Sequence[str]) -> list[str]:
+    """The words that are paths; one with `=` is one when a file or folder has that name."""
+    return [
         word
         for word in words
         if not word.startswith("-") and ("=" not in word or os.path.exists(word))
     ]
-    overrides = [word for word in words if word not in plain]
-    if plain and first_key is not None:
-        overrides.append(f"{first_key}={quote(plain.pop(0))}")
-    if plain:
-        if rest_key is None:
-            raise FactoryError(f"{plain[0]}: unexpected; only one folder is taken here")
-        overrides.append(f"{rest_key}={_listed(plain)}")
-    return overrides
 
 
 def _transfer_words(words: Sequence[str]) -> list[str]:
     """DATASET and REAL as keys; one folder alone is judged with the detector that ships."""
-    folders = [
-        word
-        for word in words
-        if not word.startswith("-") and ("=" not in word or os.path.exists(word))
-    ]
+    folders = _paths(words)
     overrides = [word for word in words if word not in folders and word != "--quick"]
     if "--quick" in words:
         overrides.append("quick=true")
@@ -127,25 +134,6 @@ def _transfer_words(words: Sequence[str]) -> list[str]:
     if keys == ("real",) and not keys_in_words & {"detector", "dataset"}:
         overrides.append("detector=simnfnd")
     return [*overrides, *(f"{key}={quote(word)}" for key, word in zip(keys, folders, strict=True))]
-
-
-def _as_keys(words: Sequence[str]) -> list[str]:
-    """`--weights FILE` and `--frames N` of `simnfnd denoise` as keys of the configuration."""
-    keys = {"--weights": "models", "--frames": "frames"}
-    keywords: list[str] = []
-    left = iter(words)
-    for word in left:
-        option, _, value = word.partition("=")
-        if option not in keys:
-            keywords.append(word)
-            continue
-        value = value or next(left, "")
-        if not value:
-            raise FactoryError(f"{option}: a value is missing")
-        keywords.append(
-            f"{keys[option]}={_listed([value]) if option == '--weights' else f'[{value}]'}"
-        )
-    return keywords
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -207,72 +195,6 @@ def _tune(config: DictConfig) -> None:
 
     with TaskPool(settings.workers) as pool:
         print("\n".join(tuning.tune(settings, baselines_of(settings.baselines), pool)))
-
-
-def _real(config: DictConfig) -> None:
-    from .judging.settings import RealSettings
-
-    settings = _checked(config, RealSettings, real="images or a recording")
-    require(_needs("models=", settings.models))
-    from .real.report import evaluate
-
-    evaluate(settings)
-
-
-def _targets(config: DictConfig) -> None:
-    from .judging.settings import TargetsSettings
-
-    settings = _checked(config, TargetsSettings, recordings="a static recording or several")
-    require(_needs("models=", settings.models))
-    from .targets.report import evaluate
-
-    evaluate(settings)
-
-
-def _transfer(config: DictConfig) -> None:
-    from .judging.settings import TransferReportSettings
-
-    settings: TransferReportSettings = build(TransferReportSettings, _values(config))
-    if settings.real is None and (settings.dataset.dir is None or not settings.classes):
-        raise FactoryError(
-            "real: give a folder of real images with boxes, or dataset=DIR and classes=[...] to "
-            "train a detector alone (see `simnfnd evaluate transfer --help`)"
-        )
-    from .transfer.report import evaluate
-
-    evaluate(settings.quickened())
-
-
-def _realism(config: DictConfig) -> None:
-    from .judging.settings import RealismSettings
-
-    settings = _checked(config, RealismSettings, real="both folders", sim="both folders")
-    from .realism.report import evaluate
-
-    evaluate(settings)
-
-
-def _fit(config: DictConfig) -> None:
-    from hydra.core.global_hydra import GlobalHydra
-
-    from .judging.settings import FitSettings
-
-    settings = _checked(config, FitSettings, real="a folder of real images")
-    from .realism.calibrate import fit as search
-
-    # The recipe is composed as `simnfnd make` would, by a Hydra of its own.
-    GlobalHydra.instance().clear()
-    search(settings)
-
-
-def _checked(config: DictConfig, kind: type[S], **required: str) -> S:
-    """The settings; required: key that must be given -> what to give."""
-    values = _values(config)
-    for key, hint in required.items():
-        if not values[key]:
-            raise FactoryError(f"{key}: give {hint} (see `simnfnd evaluate --help`)")
-    settings: S = build(kind, values)
-    return settings
 
 
 def _values(config: DictConfig) -> dict[str, Any]:

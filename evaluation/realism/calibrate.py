@@ -42,6 +42,15 @@ _PROFILE = ("sonar", "resample", "acoustics", "water", "noise")
 _FORMS = ("uniform", "choice", "normal")
 
 
+def evaluate(settings: FitSettings) -> None:
+    """Run `simnfnd evaluate fit`."""
+    from hydra.core.global_hydra import GlobalHydra
+
+    # The recipe is composed as `simnfnd make` would, by a Hydra of its own.
+    GlobalHydra.instance().clear()
+    fit(settings)
+
+
 def fit(settings: FitSettings) -> dict[str, Any]:
     """Search, write the best as a configuration and print how to use it; returns its values.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...factory.common.array_types import Int64s
+from ...factory.common.errors import FactoryError
 from ...factory.common.files import check_writable
 from ...factory.common.plots import Curve, Plot, draw_plots
 from ...models.detection.detector import detect_in
@@ -70,6 +71,12 @@ def evaluate(settings: TransferReportSettings) -> None:
 
     Without real images a detector is trained and judged on the test images of the dataset.
     """
+    if settings.real is None and (settings.dataset.dir is None or not settings.classes):
+        raise FactoryError(
+            "real: give a folder of real images with boxes, or dataset=DIR and classes=[...] to "
+            "train a detector alone (see `simnfnd evaluate transfer --help`)"
+        )
+    settings = settings.quickened()
     if settings.real is None:
         _train_alone(settings)
         return

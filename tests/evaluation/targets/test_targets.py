@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation.commands import _as_keys
 from simnfnd.evaluation.targets.detector import Responses, real_motion, responses_of
 from simnfnd.evaluation.targets.scores import (
     Answers,
@@ -30,7 +29,6 @@ from simnfnd.evaluation.targets.targets import (
     draw_tracks,
     insert_targets,
 )
-from simnfnd.factory.common.errors import FactoryError
 
 HEIGHT = 150
 WIDTH = 170
@@ -252,11 +250,3 @@ def test_wrong_keys_are_named(
     words = [str(folder), *SMALL, word, "models=[]", f"out={tmp_path / 'out'}"]
     assert main(["evaluate", "targets", *words]) == 2
     assert word.partition("=")[0] in capsys.readouterr().err
-
-
-def test_options_of_denoise_become_keys() -> None:
-    words = ["a.avi", "--weights", "it's.safetensors", "--frames=7", "seed=1"]
-    own = "models=['it\\'s.safetensors']"
-    assert _as_keys(words) == ["a.avi", own, "frames=[7]", "seed=1"]
-    with pytest.raises(FactoryError):
-        _as_keys(["--weights"])
