@@ -71,7 +71,6 @@ def register(kind: Kind, name: str, value: Any, source: ExtensionSource | None =
     return extension
 
 
-@cache
 def _is_declared() -> bool:
     """Whether an installed package names any extension.
 
