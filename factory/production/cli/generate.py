@@ -48,6 +48,7 @@ from ...simulation.pairs.views import Cache, ViewMaker
 from ...simulation.scenes import open_reader
 from ..scheduler.plan import DatasetJob, plan_shards, with_inputs, work_folder
 from . import PRELOADED
+from .costs import disk_warning
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -135,6 +136,8 @@ def run(
         coherent = config.acoustics.formation == "coherent"
         compile_needed(scenes=config.scenes.kind, field=coherent)
     job = job_of(config, arguments, reporter)
+    if warning := disk_warning(config, job):
+        reporter.warning(warning)
     report = make_dataset(job)
     if job.shard.part:
         reporter.fact(

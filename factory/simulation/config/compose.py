@@ -56,13 +56,16 @@ def compose_points(words: Sequence[str]) -> list[FactoryConfig]:
         # Words that choose a recipe: enough to know what an experiment sweeps over.
         recipes = [word for word in overrides if word.startswith("experiment=")]
         points = [overrides]
+        composed: DictConfig | None = None
         is_sweep = any(word in _SWEEP for word in words)
         if is_sweep or recipes:
             root = load("factory", recipes)
             # None in a plain sweep, a mapping where an experiment brings its own.
             if is_sweep or root.hydra.mode == RunMode.MULTIRUN:
                 points = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
-        return [_compose(point).config for point in points]
+            elif overrides == recipes:
+                composed = root
+        return [_compose(point, composed=composed).config for point in points]
 
 
 class Composition(NamedTuple):
@@ -85,10 +88,15 @@ def compose(words: Sequence[str]) -> Composition:
         return _compose([word for word in readable if not word.startswith("-")])
 
 
-def _compose(overrides: list[str], scenes: Mapping[str, Any] | None = None) -> Composition:
+def _compose(
+    overrides: list[str],
+    scenes: Mapping[str, Any] | None = None,
+    composed: DictConfig | None = None,
+) -> Composition:
     """Compose and check a configuration.
 
-    scenes: values that replace the group, for frames in memory.
+    scenes: values that replace the group, for frames in memory.  composed: what Hydra makes of
+    the overrides, where that is known.
     """
     from omegaconf import OmegaConf, open_dict
 
@@ -96,7 +104,8 @@ def _compose(overrides: list[str], scenes: Mapping[str, Any] | None = None) -> C
     from .named_keys import named_keys
     from .root import composed_values, from_mapping
 
-    composed = load("factory", overrides)
+    if composed is None:
+        composed = load("factory", overrides)
     pins = _pins(composed, overrides)
     with open_dict(composed):
         del composed["hydra"]
