@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
+import atexit
 import gc
 import os
 import sys
@@ -58,8 +58,10 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         elif not any(word.split("=")[0] in _SHOW for word in rest):
             require(Need(f"simnfnd {name}", module) for module in verb.needs)
         module, function = verb.target.split(":")
-        # What is imported stays: looking through it for what could go takes a tenth of a second.
+        # What is imported stays: looking through it for what could go, as it comes in and at the
+        # end, takes a tenth of a second.
         gc.set_threshold(100_000)
+        atexit.register(gc.freeze)
         action = getattr(import_module(module), function)
         # One way to stop for all: SIGTERM unwinds as Ctrl-C does, so that every `finally` runs.
         with stop_signals(), config_folders(folders):
@@ -97,6 +99,8 @@ def find(words: Sequence[str]) -> _Command:
         raise FactoryError(
             f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
         )
+    import difflib
+
     # The last word alone counts, too: people leave `evaluate` out.
     name_by_last_word = {full_name.rpartition(" ")[2]: full_name for full_name in VERBS}
     close_words = difflib.get_close_matches(word, name_by_last_word, n=3, cutoff=0.5)

@@ -7,6 +7,7 @@ is first asked for.
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Iterable
@@ -78,9 +79,12 @@ def _is_declared() -> bool:
     them than all else that help needs.
     """
     for folder in dict.fromkeys(sys.path):
-        for path in Path(folder).glob("*-info/entry_points.txt"):
-            with suppress(OSError):
-                if b"[simnfnd." in path.read_bytes():
+        names: list[str] = []
+        with suppress(OSError):
+            names = [name for name in os.listdir(folder or ".") if name.endswith("-info")]
+        for name in names:
+            with suppress(OSError), open(f"{folder}/{name}/entry_points.txt", "rb") as file:
+                if b"[simnfnd." in file.read():
                     return True
     return False
 

@@ -12,7 +12,6 @@ import os
 import re
 import secrets
 import shutil
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -159,6 +158,8 @@ def space() -> str:
     That is one boot of one machine, and there one name space of process numbers: containers that
     share a host name have process 1 each.
     """
+    import socket  # which hardly any command needs
+
     place = socket.gethostname()
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
