@@ -169,7 +169,7 @@ def _decode(path: Path) -> Any:
                 return np.load(path, allow_pickle=False)
             _teach_float64_tiff()
             with Image.open(path) as image:
-                _refuse_stack(path, image)
+                _seek_image(path, image)
                 image.load()
                 ImageOps.exif_transpose(image, in_place=True)
                 return image
@@ -179,22 +179,25 @@ def _decode(path: Path) -> Any:
         raise FrameError(f"{path}: {_undecodable(error)}") from error
 
 
-def _refuse_stack(path: Path, image: Any) -> None:
-    """Raise FrameError when a TIFF holds several images, none of which is meant.
+def _seek_image(path: Path, image: Any) -> None:
+    """Turn to the one image of a TIFF; raise FrameError where it holds several.
 
-    Smaller copies and masks of the first count for nothing.
+    Smaller copies and masks count for nothing, those before it neither.
     """
     from PIL import ExifTags
 
     count = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
-    full_count = 0
+    full_pages = []
     for number in range(count):
         image.seek(number)
         subfile_type = image.tag_v2.get(ExifTags.Base.NewSubfileType, 0) if count > 1 else 0
-        full_count += subfile_type in (0, 2)  # bits: a smaller copy, a page of several, a mask
-    image.seek(0)
-    if full_count > 1:
-        raise FrameError(f"{path}: holds {full_count} images; give each frame a file of its own")
+        if subfile_type in (0, 2):  # bits: a smaller copy, a page of several, a mask
+            full_pages.append(number)
+    image.seek(full_pages[0] if full_pages else 0)
+    if len(full_pages) > 1:
+        raise FrameError(
+            f"{path}: holds {len(full_pages)} images; give each frame a file of its own"
+        )
 
 
 def _undecodable(error: Exception) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image, TiffImagePlugin
 
 from simnfnd.command import main
@@ -144,6 +145,11 @@ def test_a_marked_overview_counts_for_nothing(tmp_path: Path) -> None:
     second = np.full((24, 32), 4, np.float32)
     depth_m = read_depth(write_pages(tmp_path / "overview.tif", second, 1))
     assert depth_m.shape == (48, 64)
+    path = tmp_path / "overview-first.tif"
+    with tifffile.TiffWriter(path) as writer:
+        writer.write(second, subfiletype=1, metadata=None)
+        writer.write(np.full((48, 64), 2.5, np.float32), metadata=None)
+    assert read_depth(path).shape == (48, 64)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes of POSIX")
