@@ -14,9 +14,8 @@ from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ...factory.common.files import whole_file, write_atomically
 from ..recordings.animations import Animation
-from ..recordings.arrays import ArrayFile
+from ..recordings.arrays import ArrayFile, write_array
 from ..recordings.base import FULL_SCALE, PORTABLE_SUFFIXES, Recording, swapped
-from ..recordings.numpy_files import write_array
 from ..recordings.portable_maps import encode_portable
 from ..recordings.tiff_files import DESCRIPTION, StackFile, Tags
 from ..recordings.videos import VideoFile

@@ -7,9 +7,12 @@ may crash look at it in another process first.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import IO, Any
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -28,13 +31,85 @@ from .base import (
     explained,
     swapped,
 )
-from .hdf5_files import LEAST_BEAMS, is_shard, list_hdf5, load_hdf5
-from .listed_arrays import LEAST_SIDE_PX, Listed, listed_of_rows
-from .matlab_files import list_mat, load_mat
-from .numpy_files import list_npy, list_npz, load_npy, load_npz
+from .foreign_arrays import StoredArray, is_shard, list_hdf5, list_mat, load_hdf5, load_mat
 
+_FORMAT: Any = np.lib.format  # whose functions are not typed
 _MOST_NAMED = 6
-_COLOUR_COUNTS = (3, 4)
+_LEAST_SIDE_PX = 16
+"""Smaller arrays are tables: poses, matrices, bearings."""
+_LEAST_BEAMS = 40
+"""Fewest beams of a multibeam sonar, and pixels of the shorter side of its images."""
+_CHANNELS = (1, 2, 3, 4)
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """An array in a file, not unpacked.
+
+    shape: as it is stored.  axis: the one that counts images, 0 or -1; None for one image.
+    is_matlab: whether MATLAB may have ordered its axes.
+    whole: how many of its images are there, where the file is cut short; None: all.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    axis: int | None
+    is_matlab: bool = False
+    whole: int | None = None
+
+    @property
+    def count(self) -> int:
+        """How many images it holds."""
+        if self.axis is None:
+            return 1
+        return self.shape[self.axis] if self.whole is None else self.whole
+
+    @property
+    def page_shape(self) -> tuple[int, ...]:
+        """(H, W) or (H, W, channels) of an image."""
+        if self.axis is None:
+            return self.shape
+        return self.shape[1:] if self.axis == 0 else self.shape[:-1]
+
+    @property
+    def is_of_images(self) -> bool:
+        """Whether it may be images: numbers, large enough, of a known number of channels."""
+        page = self.page_shape
+        is_page = len(page) == 2 or (len(page) == 3 and page[2] in _CHANNELS)
+        is_large = is_page and self.count > 0 and min(page[:2]) >= _LEAST_SIDE_PX
+        return self.dtype.kind in "uif" and is_large
+
+    @property
+    def doubt(self) -> str:
+        """What else its axes could mean, and how to say so; mostly empty."""
+        if len(self.shape) != 3 or self.axis is None:
+            return ""
+        height, width = self.page_shape[:2]
+        read_as = f"is read as {self.count} images of {height} x {width}"
+        if self.is_matlab:
+            if min(self.shape) < _LEAST_BEAMS:
+                return ""
+            sides = " x ".join(map(str, self.shape))
+            return (
+                f"{self.name} ({sides}) {read_as}, the last axis counts them; if the first one "
+                "does, save permute(x, [2 3 1])"
+            )
+        if min(self.page_shape) < _LEAST_BEAMS <= min(self.shape[:2]):
+            return (
+                f"{read_as}, the first axis counts them; if the last one does, save "
+                "np.moveaxis(x, -1, 0)"
+            )
+        if self.shape[0] in _CHANNELS[2:]:
+            return (
+                f"{read_as}, one after the other; if the first axis counts colours, save "
+                "np.moveaxis(x, 0, -1)"
+            )
+        return ""
+
+    def images_first(self, array: Array) -> Array:
+        """The stored array with the axis first that counts images."""
+        return np.asarray(np.moveaxis(array, -1, 0) if self.axis == -1 else array)
 
 
 class ArrayFile(Recording):
@@ -49,7 +124,7 @@ class ArrayFile(Recording):
         if not arrays:
             raise FrameError(
                 f"{self.path}: holds no images; expected (H, W), (H, W, 3), (N, H, W) or "
-                f"(N, H, W, 3), {LEAST_SIDE_PX} pixels or more on a side; save them as .npy"
+                f"(N, H, W, 3), {_LEAST_SIDE_PX} pixels or more on a side; save them as .npy"
             )
         if len(arrays) > 1:
             names = ", ".join([array.name for array in arrays][:_MOST_NAMED])
@@ -58,51 +133,50 @@ class ArrayFile(Recording):
                 "meant as .npy"
             )
         (self._listed,) = arrays
-        shape = self._listed.shape
-        height, width = shape[:2] if self._listed.is_single else shape[1:3]
+        height, width = self._listed.page_shape[:2]
         ask_pixels(str(self.path), width, height)
         if self.path.suffix.lower() != ARRAY_SUFFIX:
-            needed = math.prod(shape) * self._listed.dtype.itemsize
+            needed = math.prod(self._listed.shape) * self._listed.dtype.itemsize
             ask_bytes(f"{self.path}: {self._listed.name}", needed, self.size)
-        self.count = 1 if self._listed.is_single else shape[0]
-        if self._listed.parts is not None:
-            self.count = self._listed.parts
+        self.count = self._listed.count
+        if self._listed.whole is not None:
             self.warning = f"{self.path}: is cut short; its {self.count} whole frames are read"
-        elif self._listed.matlab_shape is not None:
-            sides = " x ".join(map(str, self._listed.matlab_shape))
-            self.warning = (
-                f"{self.path}: {self._listed.name} ({sides}) is read as {self.count} images of "
-                f"{height} x {width}, the last axis counts them; if the first one does, save "
-                "permute(x, [2 3 1])"
-            )
-        elif not self._listed.is_single and _is_rather_last(shape):
-            self.warning = (
-                f"{self.path}: is read as {shape[0]} images of {height} x {width}, the first axis "
-                "counts them; if the last one does, save np.moveaxis(x, -1, 0)"
-            )
-        elif len(shape) == 3 and shape[0] in _COLOUR_COUNTS:
-            self.warning = (
-                f"{self.path}: is read as {shape[0]} images of {height} x {width}, one after the "
-                "other; if the first axis counts colours, save np.moveaxis(x, 0, -1)"
-            )
+        elif self._listed.doubt:
+            self.warning = f"{self.path}: {self._listed.doubt}"
 
     @cached_property
     def stored(self) -> Array:
         """See the class; unpacked when it is first asked for."""
         with explained(f"{self.path}: cannot be read; is the file damaged?", reason=True):
-            return _load(self.path, self._listed)
+            return self._listed.images_first(_load(self.path, self._listed))
 
     def _read(self, number: int) -> SonarFrame:
         name = f"{self.path}: image {number + 1}" if self.count > 1 else str(self.path)
-        page = self.stored if self._listed.is_single else self.stored[number]
+        page = self.stored if self._listed.axis is None else self.stored[number]
         return SonarFrame(number, as_samples(np.ascontiguousarray(swapped(page)), name))
 
 
-def _is_rather_last(shape: Sequence[int]) -> bool:
-    """Whether the last axis of an array that is no MATLAB's rather counts images than the first."""
-    if len(shape) != 3:
-        return False
-    return min(shape[1:]) < LEAST_BEAMS <= min(shape[:2])
+def counting_axis(shape: Sequence[int], *, is_matlab: bool = False) -> int | None:
+    """The axis of an array that counts images, 0 or -1; None for a single image.
+
+    MATLAB's own functions have it last, (H, W, N) or (H, W, 3, N); arrays that Python or a user
+    arranged, first.  Sides too short for an image of a sonar tell which; otherwise it is the last.
+    """
+    sides = list(shape)
+    single = (3,) if is_matlab else _CHANNELS  # MATLAB's with four at the end are four images
+    if len(sides) == 2 or (len(sides) == 3 and sides[2] in single):
+        return None
+    if not is_matlab or len(sides) < 3:
+        return 0
+    if len(sides) == 4:
+        return 0 if sides[3] in _CHANNELS and sides[2] not in _CHANNELS else -1
+    # The shorter side of an image, if the last or the first axis counts images.
+    shorter_if_last = min(sides[:2])
+    shorter_if_first = min(sides[1:])
+    for least in (_LEAST_SIDE_PX, _LEAST_BEAMS):
+        if (shorter_if_last < least) != (shorter_if_first < least):
+            return 0 if shorter_if_last < least else -1
+    return -1
 
 
 def kind_of_array(path: Path) -> str | None:
@@ -117,7 +191,7 @@ def kind_of_array(path: Path) -> str | None:
         return "images" if alone else "array"
     if not arrays:
         return None
-    return "images" if alone and arrays[0].is_single else "array"
+    return "images" if alone and arrays[0].axis is None else "array"
 
 
 def is_table(path: Path) -> bool:
@@ -140,40 +214,102 @@ def _is_shard_file(path: Path, changed_ns: int) -> bool:
         return True
 
 
-def _images_in(path: Path) -> list[Listed]:
+def _images_in(path: Path) -> list[_Listed]:
     """The arrays of a file that may be images; nothing is unpacked.  Raises FactoryError."""
     problem = f"{path}: not a readable array"
     with explained(problem, reason=True, passing=FrameError):
         try:
             listed = _listed(path, path.stat().st_mtime_ns)
         except FactoryError as error:
-            if isinstance(error, FrameError):
-                raise
             reason = str(error).removeprefix(f"{path}: ")
             raise FrameError(f"{problem} ({reason})") from error
     return [array for array in listed if array.is_of_images]
 
 
 @lru_cache(maxsize=4096)
-def _listed(path: Path, changed_ns: int) -> list[Listed]:
+def _listed(path: Path, changed_ns: int) -> list[_Listed]:
     """The arrays in a file; its kind is asked for several times before it is opened."""
     suffix = path.suffix.lower()
-    if suffix in HDF5_SUFFIXES:
-        return listed_of_rows(call_isolated(path, list_hdf5, str(path), False))
-    if suffix == ".mat":
-        return list_mat(path)
+    if suffix == ARRAY_SUFFIX:
+        return [_list_npy(path)]
     if suffix == ".npz":
-        return list(list_npz(path))
-    return [list_npy(path)]
+        return _list_npz(path)
+    rows = call_isolated(path, list_mat if suffix == ".mat" else list_hdf5, str(path))
+    stored = [StoredArray(*row) for row in rows]
+    return [
+        _Listed(
+            array.name,
+            tuple(array.shape),
+            np.dtype(array.dtype),
+            counting_axis(array.shape, is_matlab=array.is_matlab),
+            array.is_matlab,
+        )
+        for array in stored
+    ]
 
 
-def _load(path: Path, listed: Listed) -> Array:
-    """An array of a file.  May raise nearly anything."""
+def _list_npy(path: Path) -> _Listed:
+    """The array of a .npy file; of one that is cut short, the whole images."""
+    with path.open("rb") as file:
+        shape, is_fortran, dtype = _numpy_header(file)
+        data_bytes = path.stat().st_size - file.tell()
+    listed = _Listed("", shape, dtype, counting_axis(shape))
+    if data_bytes >= math.prod(shape) * dtype.itemsize:
+        return listed
+    whole = data_bytes // max(math.prod(shape[1:]) * dtype.itemsize, 1)
+    if is_fortran or listed.axis is None or whole < 1:
+        raise ValueError("it is cut short before its first whole image")
+    return _Listed("", shape, dtype, 0, whole=whole)
+
+
+def _list_npz(path: Path) -> list[_Listed]:
+    listed = []
+    with ZipFile(path) as archive:
+        for name in archive.namelist():
+            if name.endswith(ARRAY_SUFFIX):
+                with archive.open(name) as stream:
+                    shape, _, dtype = _numpy_header(stream)
+                name = name.removesuffix(ARRAY_SUFFIX)
+                listed.append(_Listed(name, shape, dtype, counting_axis(shape)))
+    return listed
+
+
+def _numpy_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, whether in Fortran's order, and dtype of a .npy file.  Raises ValueError."""
+    version = _FORMAT.read_magic(file)
+    name = "1_0" if version == (1, 0) else "2_0"
+    shape, is_fortran, dtype = getattr(_FORMAT, f"read_array_header_{name}")(file)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which are never unpacked")
+    return shape, is_fortran, dtype
+
+
+def _load(path: Path, listed: _Listed) -> Array:
+    """An array of a file as it is stored, without images that are cut.  May raise anything."""
     suffix = path.suffix.lower()
-    if suffix in HDF5_SUFFIXES:
-        return load_hdf5(path, listed, is_matlab=False)
     if suffix == ".mat":
-        return load_mat(path, listed)
-    if suffix == ".npz":
-        return load_npz(path, listed)
-    return load_npy(path, listed)
+        return load_mat(path, listed.name, listed.shape, listed.dtype)
+    if suffix in HDF5_SUFFIXES:
+        return load_hdf5(path, listed.name)
+    if listed.whole is not None:
+        with path.open("rb") as file:
+            _numpy_header(file)
+            shape = (listed.whole, *listed.shape[1:])
+            return np.memmap(path, listed.dtype, "r", file.tell(), shape)
+    if suffix == ARRAY_SUFFIX:
+        return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+    with np.load(path, allow_pickle=False) as archive:
+        return np.asarray(archive[listed.name])
+
+
+def write_array(file: IO[bytes], images: Iterable[Array], like: Array) -> None:
+    """Write a .npy file with the shape and dtype of `like`, image by image.
+
+    images: (H, W) or (H, W, colours) in BGR order.  Raises OSError.
+    """
+    dtype = like.dtype.newbyteorder("=")
+    _FORMAT.write_array_header_1_0(
+        file, {"descr": dtype.str, "fortran_order": False, "shape": like.shape}
+    )
+    for image in images:
+        file.write(np.ascontiguousarray(swapped(image), dtype).tobytes())

@@ -21,8 +21,8 @@ from simnfnd.factory.common.errors import FrameError
 from simnfnd.models.denoise.video_writer import TimedImage, write_video
 from simnfnd.models.denoise.writers import write_frames
 from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.arrays import counting_axis
 from simnfnd.models.recordings.fan_tracking import FanTracker
-from simnfnd.models.recordings.hdf5_files import counting_axis
 from simnfnd.models.recordings.images import read_image
 from simnfnd.models.recordings.videos import VideoProperties
 from tests.models.denoise.untrained import main
@@ -290,7 +290,7 @@ def test_a_map_of_several_images_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_the_axis_that_counts_images(shape: tuple[int, ...], axis: int | None) -> None:
-    assert counting_axis(shape) == axis
+    assert counting_axis(shape, is_matlab=True) == axis
 
 
 @pytest.mark.parametrize("version", [5, 73])

@@ -194,16 +194,16 @@ def test_what_is_no_array_says_so_in_one_line(tmp_path: Path) -> None:
         assert name in text
 
 
-@pytest.mark.parametrize("name", ["a.npy", "stored.npz", "packed.npz"])
-def test_an_array_that_is_cut_short(tmp_path: Path, name: str) -> None:
+def test_an_array_that_is_cut_short(tmp_path: Path) -> None:
     frames = pings(10, 30, 40)
-    path = tmp_path / name
-    if name == "a.npy":
-        np.save(path, frames)
-    else:
-        (np.savez if name == "stored.npz" else np.savez_compressed)(path, frames=frames)
-    content = path.read_bytes()
-    path.write_bytes(content[: int(0.7 * len(content))])
+    path = tmp_path / "a.npy"
+    np.save(path, frames)
+    np.savez(tmp_path / "a.npz", frames=frames)
+    for file in (path, tmp_path / "a.npz"):
+        content = file.read_bytes()
+        file.write_bytes(content[: int(0.7 * len(content))])
+    with pytest.raises(FactoryError, match=r"a\.npz: not a readable array"):
+        open_recording(tmp_path / "a.npz")
     with open_recording(path) as recording:
         actual = [frame.samples for frame in recording]
         assert "cut short" in recording.warning
