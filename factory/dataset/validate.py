@@ -14,7 +14,7 @@ import unicodedata
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -23,7 +23,7 @@ import numpy.typing as npt
 from ..common.errors import MOST_LISTED, FactoryError
 from ..common.files import is_temporary, sha256_of
 from ..common.isolated import LASTING, LIMIT_S
-from .folder import CARD_NAME, PREVIEW_NAME, STATUS_NAME, WORK_NAME
+from .folder import CARD_NAME, PREVIEW_NAME
 from .layout import check_texts, config_of, image_axes, optional_layers
 from .manifest import (
     CONFIG_NAME,
@@ -31,6 +31,7 @@ from .manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
     Manifest,
+    ShardInfo,
     damage,
     is_inside,
     load_manifest,
@@ -44,12 +45,12 @@ from .storage import Store, url_of
 # Slower than any disk: a shard that takes longer is not read but stuck.
 _BYTES_PER_S = 1e6
 
-_OUTCOME = re.compile(r"(train|test)/shard-\d+\.json")
-_STATUS = re.compile(STATUS_NAME.replace(".", r"(\.[\w-]+)?\."))
-_COMING = (".lock", ".origin", WORK_NAME)
 # Written by every run.
 _EXPECTED_NAMES = (INDEX_NAME, CONFIG_NAME, CARD_NAME)
 _KNOWN_NAMES = frozenset({MANIFEST_NAME, PREVIEW_NAME, FAILURES_NAME, *_EXPECTED_NAMES})
+# Files that come and go with runs.
+_OF_RUNS = re.compile(r"\.(lock|origin|work).*|status(\.[\w-]+)?\.json")
+_OUTCOME = re.compile(r"(train|test)/shard-\d+\.json")
 # The location of every procedural scene: each scene is a place of its own.
 _PROCEDURAL = "seabed"
 
@@ -119,19 +120,25 @@ def _facts_of(directory: Path, manifest: Manifest, path: str, deep: bool) -> Fac
     except FactoryError as error:
         return {"problems": [str(error)]}
     if not facts["problems"]:
-        sample_count = len(facts["samples"])
-        stated_hash = facts["config_hash"]
-        if sample_count != info.samples:
-            facts["problems"].append(f"{sample_count} samples, the manifest says {info.samples}")
-        if facts["split"] != info.split:
-            facts["problems"].append(f"says that its split is {facts['split']!r}")
-        if stated_hash not in manifest.config_hashes:
-            facts["problems"].append(f"is of another configuration ({stated_hash[:40]!r})")
-        elif info.config_hash not in ("", stated_hash):
-            facts["problems"].append(
-                f"its config_hash is {stated_hash!r}, the manifest says {info.config_hash[:40]!r}"
-            )
+        facts["problems"] = list(_contradictions(facts, info, manifest.config_hashes))
     return facts
+
+
+def _contradictions(facts: Facts, info: ShardInfo, hashes: frozenset[str]) -> Iterator[str]:
+    """In what a sound shard is not the one that the manifest lists.
+
+    hashes: of the configurations that its shards may state.
+    """
+    sample_count = len(facts["samples"])
+    stated_hash = facts["config_hash"]
+    if sample_count != info.samples:
+        yield f"{sample_count} samples, the manifest says {info.samples}"
+    if facts["split"] != info.split:
+        yield f"says that its split is {facts['split']!r}"
+    if stated_hash not in hashes:
+        yield f"is of another configuration ({stated_hash[:40]!r})"
+    elif info.config_hash not in ("", stated_hash):
+        yield f"its config_hash is {stated_hash!r}, the manifest says {info.config_hash[:40]!r}"
 
 
 # --- one kind of finding each
@@ -180,30 +187,32 @@ def _file_problems(directory: Path, manifest: Manifest) -> Iterator[str]:
     for name in _EXPECTED_NAMES:
         if name not in names:
             yield f"note: {name}: absent; the command that made the dataset writes it"
-    stray_shards = []
-    unfinished = []
-    others = []
-    for name in names:
-        top = name.partition("/")[0]
-        if name in manifest.shards or name in _KNOWN_NAMES or top.startswith(_COMING):
-            continue
-        if name.endswith(".h5") and top in SPLITS:
-            stray_shards.append(name)
-        elif _OUTCOME.fullmatch(name) or is_temporary(name.rpartition("/")[2]):
-            unfinished.append(name)
-        elif not _STATUS.fullmatch(name):
-            others.append(name)
-    yield from _listed(
-        "error",
-        stray_shards,
-        f"not listed in {MANIFEST_NAME}; remove it, or run the command that made the dataset again",
-    )
-    yield from _listed(
-        "note",
-        unfinished,
-        "of a run that has not ended; run the command that made the dataset again",
-    )
-    yield from _listed("note", others, "not part of the dataset; not read")
+    known = _KNOWN_NAMES | manifest.shards.keys()
+    strangers = [name for name in names if name not in known and not _OF_RUNS.fullmatch(name)]
+    yield from map(_stranger, sorted(strangers, key=_is_shard, reverse=True)[:MOST_LISTED])
+    if len(strangers) > MOST_LISTED:
+        yield f"note: {len(strangers) - MOST_LISTED} more files that the manifest does not know"
+
+
+def _is_shard(name: str) -> bool:
+    return name.endswith(".h5") and name.partition("/")[0] in SPLITS
+
+
+def _stranger(name: str) -> str:
+    """What is wrong with a file that the manifest does not know."""
+    # In one line that no terminal takes for a command.
+    shown = "".join(letter if letter.isprintable() else "?" for letter in name)[:200]
+    if _is_shard(name):
+        return (
+            f"error: {shown}: not listed in {MANIFEST_NAME}; remove it, or run the command that "
+            "made the dataset again"
+        )
+    if _OUTCOME.fullmatch(name) or is_temporary(name.rpartition("/")[2]):
+        return (
+            f"note: {shown}: of a run that has not ended; run the command that made the dataset "
+            "again"
+        )
+    return f"note: {shown}: not part of the dataset; not read"
 
 
 def _file_names(directory: Path) -> list[str]:
@@ -224,18 +233,6 @@ def _file_names(directory: Path) -> list[str]:
     return sorted(names)
 
 
-def _listed(level: str, names: list[str], problem: str) -> Iterator[str]:
-    for name in names[:MOST_LISTED]:
-        yield f"{level}: {_printable(name)}: {problem}"
-    if len(names) > MOST_LISTED:
-        yield f"{level}: {len(names) - MOST_LISTED} more files: {problem}"
-
-
-def _printable(name: str) -> str:
-    """A file name in one line that no terminal takes for a command."""
-    return "".join(letter if letter.isprintable() else "?" for letter in name)[:200]
-
-
 def _form_problems(facts: Mapping[str, Facts]) -> Iterator[str]:
     forms = {path: shard["form"] for path, shard in facts.items() if "form" in shard}
     first = next(iter(forms), "")
@@ -248,17 +245,13 @@ def _duplicates(facts: Mapping[str, Facts]) -> Iterator[str]:
     """Samples of one name, and of one noisy image."""
     owners: dict[Hashable, str] = {}
     for path, shard in facts.items():
-        for row, key in enumerate(map(tuple, shard.get("samples", ()))):
-            place = f"{path} sample {row}"
-            owner = owners.setdefault(key, place)
-            if owner != place:
-                name = f"{'/'.join(filter(None, key[:3]))} variant {key[3]}"
-                yield f"error: {path}: sample {row} is {name} again, as {owner}"
-        for row, digest in enumerate(shard.get("noisy", ())):
-            place = f"{path} sample {row}"
-            owner = owners.setdefault(digest, place)
-            if owner != place:
-                yield f"error: {path}: sample {row} has the same noisy image as {owner}"
+        names = map(tuple, shard.get("samples", ()))
+        for kind, keys in (("name", names), ("noisy image", shard.get("noisy", ()))):
+            for row, key in enumerate(keys):
+                sample = f"{path} sample {row}"
+                owner = owners.setdefault(key, sample)
+                if owner != sample:
+                    yield f"error: {path}: sample {row} has the same {kind} as {owner}"
 
 
 def _leaks(facts: Mapping[str, Facts]) -> Iterator[str]:
@@ -267,42 +260,54 @@ def _leaks(facts: Mapping[str, Facts]) -> Iterator[str]:
     Scenes and clean images in both are errors.  Scenes of one location that are apart by name may
     still show the same ground: that is for people to judge.
     """
-    scenes: dict[str, set[str]] = {split: set() for split in SPLITS}
-    locations: dict[str, set[str]] = {split: set() for split in SPLITS}
-    clean: dict[str, set[str]] = {split: set() for split in SPLITS}
-    for path, shard in facts.items():
-        split = path.partition("/")[0]
-        for location, scene, *_ in shard.get("samples", ()):
-            scenes[split].add(_place_name(f"{location}/{scene}"))
-            locations[split].add(_place_name(location))
-        clean[split].update(shard.get("clean", ()))
-    if shared := sorted(set.intersection(*scenes.values())):
+    train, test = (_content_of(split, facts) for split in SPLITS)
+    if shared := sorted(train.scenes & test.scenes):
         yield (
             f"error: {MANIFEST_NAME}: {len(shared)} scene(s) both train and test: "
-            f"{', '.join(shared[:3])}"
+            f"{', '.join(shared[:MOST_LISTED])}"
         )
-    if shared := sorted(set.intersection(*clean.values())):
+    if shared := sorted(train.clean & test.clean):
         yield f"error: {MANIFEST_NAME}: {len(shared)} clean image(s) are in train and in test"
-    if shared := sorted(set.intersection(*locations.values()) - {"", _PROCEDURAL}):
+    if shared := sorted((train.locations & test.locations) - {"", _PROCEDURAL}):
         yield (
             f"note: {MANIFEST_NAME}: scenes of {len(shared)} location(s) train and test: "
-            f"{', '.join(shared[:3])}; make sure that they do not show the same ground"
+            f"{', '.join(shared[:MOST_LISTED])}; make sure that they do not show the same ground"
         )
 
 
-def _place_name(name: str) -> str:
+class _Content(NamedTuple):
+    """Names of locations and of scenes in a split, and digests of its clean images."""
+
+    locations: set[str]
+    scenes: set[str]
+    clean: set[str]
+
+
+def _content_of(split: str, facts: Mapping[str, Facts]) -> _Content:
+    shards = [shard for path, shard in facts.items() if path.partition("/")[0] == split]
+    names = [name for shard in shards for name in shard.get("samples", ())]
+    return _Content(
+        {_comparable(location) for location, *_ in names},
+        {_comparable(f"{location}/{scene}") for location, scene, *_ in names},
+        {digest for shard in shards for digest in shard.get("clean", ())},
+    )
+
+
+def _comparable(name: str) -> str:
     """One spelling for names that differ in case or composition of letters alone."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
 def _unchanged_samples(facts: Mapping[str, Facts]) -> Iterator[str]:
-    places = []
-    for path, shard in facts.items():
-        places += [f"{path} sample {row}" for row in shard.get("unchanged", ())]
-    if places:
+    samples = [
+        f"{path} sample {row}"
+        for path, shard in facts.items()
+        for row in shard.get("unchanged", ())
+    ]
+    if samples:
         yield (
-            f"warning: {MANIFEST_NAME}: noisy and clean are the same image in {len(places)} "
-            f"sample(s), the first of them {places[0]}; was noise meant to be off?"
+            f"warning: {MANIFEST_NAME}: noisy and clean are the same image in {len(samples)} "
+            f"sample(s), the first of them {samples[0]}; was noise meant to be off?"
         )
 
 

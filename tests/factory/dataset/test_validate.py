@@ -88,7 +88,7 @@ def test_leaks_and_samples_twice_are_found(folder: Path) -> None:
     add(folder, "train/shard-00002.h5", layered("beta", 2))
     text = errors(validate(folder, True))
     assert "1 scene(s) both train and test: reef/alpha" in text
-    assert "sample 0 is reef/beta/0002 variant 0 again, as train/shard-00001.h5 sample 2" in text
+    assert "sample 0 has the same name as train/shard-00001.h5 sample 2" in text
     assert "sample 1 has the same noisy image as train/shard-00001.h5 sample 3" in text
 
 

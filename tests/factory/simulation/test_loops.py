@@ -18,18 +18,13 @@ from simnfnd.factory.common import seeds
 from simnfnd.factory.common.array_types import Bools, Float32s
 from simnfnd.factory.common.settings import build
 from simnfnd.factory.dataset.fan_geometry import pixel_size
-from simnfnd.factory.simulation.frames.frame import Frame
-from simnfnd.factory.simulation.render.base import Rendered
-from simnfnd.factory.simulation.render.kernels import box_mean
-from simnfnd.factory.simulation.sonar import polar, surface, transfer
+from simnfnd.factory.simulation.sonar import polar
 from simnfnd.factory.simulation.sonar.fan import fan_table
-from simnfnd.factory.simulation.sonar.polar import Echoes, from_xyz
+from simnfnd.factory.simulation.sonar.polar import Echoes
 from simnfnd.factory.simulation.sonar.settings import SonarSettings
-from simnfnd.factory.simulation.sonar.window import Window, fit_window
-from tests.clouds import camera_scene, chosen, to_sonar, window
-from tests.frames import ground_and_post, plain_render
+from simnfnd.factory.simulation.sonar.window import Window
+from tests.clouds import camera_scene, chosen, window
 from tests.project_files import ROOT
-from tests.render_scenes import rays
 
 
 def sonar(**keys: Any) -> SonarSettings:
@@ -48,26 +43,6 @@ SONARS = {
 }
 
 
-def frame_and_render() -> tuple[Frame, Rendered]:
-    """Ground and post with a shadow: surface without echo."""
-    frame = ground_and_post()
-    rendered = plain_render(frame)
-    radiance = rendered.radiance.copy()
-    radiance[60:90, 30:70] = 0
-    return frame, replace(rendered, radiance=radiance)
-
-
-def plain_surface(
-    frame: Frame, rendered: Rendered, device: SonarSettings
-) -> tuple[Echoes, npt.NDArray[np.intp]]:
-    """Every surface pixel in the vertical beam, in double precision."""
-    sight = rays(len(frame.depth_m), frame.depth_m.shape[1], frame.intrinsics)
-    points_m = to_sonar(device.mount, frame.depth_m[..., None] * sight)
-    echoes = from_xyz(points_m[rendered.surface], rendered.radiance[rendered.surface])
-    in_beam = np.abs(echoes.elevation_rad) <= np.deg2rad(device.vfov_deg) / 2
-    return chosen(echoes, in_beam), np.flatnonzero(rendered.surface)[in_beam]
-
-
 def plain_bins(echoes: Echoes, at: Window, device: SonarSettings) -> npt.NDArray[np.intp]:
     half = np.float32(np.deg2rad(device.hfov_deg) / 2)
     fraction = (echoes.range_in(at) - at.range_min_m) / at.range_span_m
@@ -80,33 +55,6 @@ def plain_bins(echoes: Echoes, at: Window, device: SonarSettings) -> npt.NDArray
         edges = ((centres[1:] + centres[:-1]) / 2).astype(np.float32)
         beam = np.searchsorted(edges, echoes.azimuth_rad, side="right")
     return np.where(inside, row * device.beams + beam, device.range_bins * device.beams)
-
-
-@pytest.mark.parametrize("name", list(SONARS))
-def test_insonified_surface_as_in_double_precision(name: str) -> None:
-    device = SONARS[name]
-    frame, rendered = frame_and_render()
-    at = fit_window(surface.extent(frame, rendered, device), device)
-    actual, pixel, hit = surface.insonified(frame, rendered, at, device)
-    echoes, number = plain_surface(frame, rendered, device)
-    bins = plain_bins(echoes, at, device)
-    remaining = (bins < hit.size) & (echoes.strength > 0)
-    echoes = chosen(echoes, remaining)
-    number = number[remaining]
-    # All but the few on the edge of the window.
-    assert len(np.setxor1d(number, pixel)) <= 1e-3 * len(number)
-    _, index, expected_index = np.intersect1d(
-        pixel, number, assume_unique=True, return_indices=True
-    )
-    gain = echoes.range_m.astype(np.float64) ** (device.tvg_db_per_decade / 10)
-    expected = replace(echoes, strength=(echoes.strength * gain).astype(np.float32))
-    for field, values in vars(expected).items():
-        actual_values = getattr(actual, field)[index]
-        np.testing.assert_allclose(actual_values, values[expected_index], rtol=2e-6, atol=3e-7)
-    assert np.all(np.diff(pixel) > 0)
-    filled = np.zeros(hit.size, np.bool_)
-    filled[polar.bin_index(actual, at, device)] = True
-    np.testing.assert_array_equal(hit.ravel(), filled)
 
 
 @pytest.mark.parametrize("accumulate", ["sum", "mean", "max"])
@@ -185,19 +133,6 @@ def test_fan_is_bilinear_and_nearest_as_scipy_interpolates() -> None:
     assert not mask[~table.inside].any()
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    values=arrays(np.float32, st.integers(1, 60), elements=st.floats(0, 2.0**100, width=32)),
-    fraction=st.floats(0, 1),
-    skip=st.integers(0, 59),
-)
-def test_quantiles_are_those_of_numpy(values: Float32s, fraction: float, skip: int) -> None:
-    skip = min(skip, len(values) - 1)
-    expected = np.quantile(np.sort(values.astype(np.float64))[skip:], [fraction, 0.5])
-    actual = transfer.quantiles(values, (fraction, 0.5), skip=skip)
-    np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-13 * float(values.max()))
-
-
 @pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**200), names=st.lists(st.text(max_size=4) | st.integers(), max_size=3))
@@ -219,16 +154,3 @@ def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
     assert using == set(LOOPS)
     for name in LOOPS:
         importlib.import_module(name)
-
-
-@pytest.mark.parametrize("side", [3, 5, 7, 61])
-@pytest.mark.parametrize("shape", [(1, 1), (2, 40), (45, 3), (152, 242)])
-def test_box_means_are_those_of_opencv_to_the_bit(shape: tuple[int, int], side: int) -> None:
-    import cv2
-
-    rng = np.random.default_rng(7)
-    # Of many magnitudes, so that the order of the sums matters.
-    values = (rng.random(shape) * 10.0 ** rng.integers(-6, 3, shape)).astype(np.float32)
-    values[rng.random(shape) < 0.3] = 0
-    expected = cv2.blur(values, (side, side), borderType=cv2.BORDER_CONSTANT)
-    np.testing.assert_array_equal(box_mean(values, side), expected)

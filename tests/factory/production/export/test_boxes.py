@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 
-from simnfnd.evaluation.transfer.simulated import LabelRules, read_simulated
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.manifest import Manifest, save_manifest
 from simnfnd.factory.dataset.schema import Provenance, config_hash
@@ -84,21 +83,6 @@ def test_faint_objects_are_left_out_and_counted(dataset: Path, tmp_path: Path) -
     assert "0 objects" in summary
     assert "1 fainter than 60 dB" in summary
     assert coco_annotations(tmp_path / "faint") == []
-
-
-@pytest.mark.parametrize(("convention", "with_shadow"), [("echo", ()), ("echo+shadow", ("Tire",))])
-def test_a_detector_learns_the_boxes_of_the_export(
-    dataset: Path, tmp_path: Path, convention: str, with_shadow: tuple[str, ...]
-) -> None:
-    export(dataset, "coco", tmp_path / "out", box=convention)
-    (annotation,) = coco_annotations(tmp_path / "out")
-    rules = LabelRules(with_shadow=with_shadow, min_visibility_db=3)
-    (working,), _ = read_simulated(dataset, ("Tire",), rules)
-    left, top, right, bottom = (working.labelled.boxes[0] / working.scale).tolist()
-    box = [left, top, right - left, bottom - top]
-    np.testing.assert_allclose(box, annotation["bbox"], atol=1e-3)
-    with pytest.raises(FactoryError):
-        read_simulated(dataset, ("Tire",), LabelRules(min_visibility_db=60))
 
 
 def test_what_a_dataset_cannot_give_is_refused(tmp_path: Path) -> None:

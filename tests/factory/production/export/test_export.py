@@ -367,25 +367,6 @@ def test_small_boxes_are_left_out(labelled: Path, tmp_path: Path) -> None:
     assert len(sides) < len(expected)
 
 
-def test_the_card_states_licence_and_title(floats: Path, labelled: Path, tmp_path: Path) -> None:
-    def front_matter(folder: Path) -> dict[str, Any]:
-        card = (folder / "README.md").read_text()
-        return dict(yaml.safe_load(card.split("---\n")[1]))
-
-    export(labelled, "huggingface", tmp_path / "labelled")
-    fields = front_matter(tmp_path / "labelled")
-    assert fields["license"] == "cc-by-4.0"
-    assert "sonar" in fields["pretty_name"]
-    assert fields["task_categories"] == ["image-to-image", "object-detection"]
-    assert "parquet" in fields["tags"]
-
-    others = {**export_dataset.CONFIG, "scenes": {"kind": "csv_list"}}
-    unlicensed = write(tmp_path / "source", licence=None, config=others)
-    said = export(unlicensed, "huggingface", tmp_path / "unlicensed")
-    assert "licence" in said
-    assert "license" not in front_matter(tmp_path / "unlicensed")
-
-
 def covered(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Pixels whose centres lie inside a polygon."""
     from pycocotools import mask as tool

@@ -201,19 +201,6 @@ def test_a_point_cloud_has_class_and_intensity(
     assert "intensity" in cloud.point
 
 
-@pytest.mark.parametrize("to", ["mcap", "ply"])
-def test_the_same_dataset_gives_the_same_bytes(
-    datasets: dict[str, Path], to: str, tmp_path: Path
-) -> None:
-    for name in ("one", "two"):
-        export(datasets["fan"], to, tmp_path / name)
-    files = [path for path in sorted((tmp_path / "one").rglob("*")) if path.is_file()]
-    assert len(files) > 2
-    for path in files:
-        twin = tmp_path / "two" / path.relative_to(tmp_path / "one")
-        assert path.read_bytes() == twin.read_bytes(), path.name
-
-
 @pytest.mark.slow
 def test_what_does_not_fit_is_told(tmp_path: Path) -> None:
     small = ("scenes.locations=1", "scenes.frames_per_location=1")

@@ -141,22 +141,6 @@ def test_damaged_csv_lists(tmp_path: Path, content: bytes, said: str) -> None:
         reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE).discover()
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {},
-        {"intrinsics": [0, 2, 3, 4]},
-        {"intrinsics": PINHOLE, "depth_scale": 0},
-        {"intrinsics": PINHOLE, "depth_scael": 1},
-    ],
-)
-def test_csv_list_refuses_bad_keys_by_name(tmp_path: Path, values: dict[str, object]) -> None:
-    key = list(values)[-1] if values else "intrinsics"
-    with pytest.raises(FactoryError, match=rf"^scenes\.{key}") as caught:
-        reader("csv_list", tmp_path, **values)
-    assert "csv_list." not in str(caught.value)
-
-
 # --- units of depth ------------------------------------------------------------------------------
 
 
