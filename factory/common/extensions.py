@@ -100,7 +100,7 @@ def _entry_points(kind: Kind) -> dict[str, EntryPoint]:
 
 def names(kind: Kind) -> list[str]:
     """Names of all extensions of a kind; imports none of them."""
-    registered = (name for own_kind, name in _registered if own_kind == kind)
+    registered = (name for registered_kind, name in _registered if registered_kind == kind)
     return list(dict.fromkeys((*registered, *_entry_points(kind))))
 
 

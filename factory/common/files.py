@@ -160,11 +160,11 @@ def space() -> str:
     """
     import socket  # which hardly any command needs
 
-    place = socket.gethostname()
+    machine = socket.gethostname()
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
-        place = boot + os.readlink("/proc/self/ns/pid")
-    return hashlib.blake2b(place.encode(), digest_size=4).hexdigest()
+        machine = boot + os.readlink("/proc/self/ns/pid")
+    return hashlib.blake2b(machine.encode(), digest_size=4).hexdigest()
 
 
 def is_dead(pid: int) -> bool:
@@ -256,7 +256,7 @@ def remove_file(path: Path) -> None:
 
 
 def _forward_write(path: Path, content: bytes | None) -> None:
-    place = Path(os.path.abspath(path))
+    absolute = Path(os.path.abspath(path))
     for folder, forward in dict(_forwarders).items():
-        if place.is_relative_to(folder):
-            forward(place.relative_to(folder).as_posix(), content)
+        if absolute.is_relative_to(folder):
+            forward(absolute.relative_to(folder).as_posix(), content)

@@ -154,8 +154,8 @@ def _start(memory_bytes: int) -> subprocess.Popen[bytes]:
     # Modules are to be found as this process finds them, wherever it was started.
     # Blender puts folders of its own on the path, where half of bpy hides the whole.
     bpy = getattr(sys.modules.get("bpy"), "__file__", None)
-    own = (f"{Path(bpy).parents[2]}{os.sep}",) if bpy else ()
-    paths = [path or os.getcwd() for path in sys.path if not path.startswith(own)]
+    blender = (f"{Path(bpy).parents[2]}{os.sep}",) if bpy else ()
+    paths = [path or os.getcwd() for path in sys.path if not path.startswith(blender)]
     # Threads of numerical libraries reserve address space, and nothing is computed there.
     one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     return subprocess.Popen(

@@ -177,7 +177,7 @@ def stated_licence(licence: str | None, config: Mapping[str, Any]) -> str | None
 
     config: the dataset's settings, as its shards record them.
     """
-    if licence is None and _has_only_own_scenes(config):
+    if licence is None and _has_only_procedural_scenes(config):
         return "apache-2.0"
     return licence
 
@@ -187,7 +187,7 @@ def source_terms(config: Mapping[str, Any]) -> str:
 
     config: the dataset's settings, as its shards record them.
     """
-    if _has_only_own_scenes(config):
+    if _has_only_procedural_scenes(config):
         return (
             "Its scenes are procedural, made by SimNFND itself (Apache-2.0): no terms of others "
             "apply."
@@ -195,7 +195,7 @@ def source_terms(config: Mapping[str, Any]) -> str:
     return "The terms of the source images hold for what is derived from them."
 
 
-def _has_only_own_scenes(config: Mapping[str, Any]) -> bool:
+def _has_only_procedural_scenes(config: Mapping[str, Any]) -> bool:
     """Whether SimNFND made all scenes, without meshes or platform movements of the user's."""
     scenes = config.get("scenes")
     return (

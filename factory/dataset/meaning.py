@@ -119,9 +119,9 @@ FITTING = "Fitting"
 """What belongs to a place and is no object to be found, such as a rope: a class without numbers."""
 
 
-def class_names(own: Iterable[str]) -> tuple[str, ...]:
+def class_names(added: Iterable[str]) -> tuple[str, ...]:
     """CLASSES and, from their end on, the classes of the user's own objects."""
-    return tuple(dict.fromkeys((*CLASSES, *own)))
+    return tuple(dict.fromkeys((*CLASSES, *added)))
 
 
 def classes_of(config: Mapping[str, Any]) -> tuple[str, ...]:

@@ -29,11 +29,8 @@ _FAINT = "#8b949e"
 _ECHO = ("#000000", "#fffdf2", "#b26c1e")
 _SHADOW = ("#000000", "#39a0c8")
 
-_PANEL = 340  # width of a panel, pixels
-_GAP = 12  # pixels between panels
-_OVER = 56
-_HEAD = 78
-_EDGE = 30
+_PANEL_PX = 340  # width of a panel
+_LINE_PX = 24  # height of a line of text, and of the gaps between panels
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +117,8 @@ def load(name: SampleName) -> Shown:
         images = {panel: ImageStack(file[panel])[name.row] for panel in CORE}
         record = file["meta"][name.row]
         full_scale = value_range(file)
-    place = " / ".join(part for part in (name.location, name.scene, name.frame) if part)
-    heading = f"{name.split}   {place}   variant {name.variant}"
+    sample_name = " / ".join(part for part in (name.location, name.scene, name.frame) if part)
+    heading = f"{name.split}   {sample_name}   variant {name.variant}"
     if {"range_min_m", "range_max_m"} <= set(record.dtype.names):
         heading += f"   {record['range_min_m']:.3g} to {record['range_max_m']:.3g} m"
     return Shown(heading, images, full_scale)
@@ -131,32 +128,36 @@ def draw(shown: Sequence[Shown], title: str, note: str, wide: int = 2) -> bytes:
     """PNG of the samples, `wide` side by side, under a title, with a small note beside it."""
     wide = min(len(shown), wide)
     first = next(iter(shown[0].images.values()))
-    height = round(_PANEL * min(max(first.shape[0] / first.shape[1], 0.5), 1.6))
-    block = (len(shown[0].images) * (_PANEL + _GAP) + _EDGE, _OVER + height + _GAP)
-    size = (wide * block[0] + _EDGE, _HEAD + -(-len(shown) // wide) * block[1])
+    height = round(_PANEL_PX * min(max(first.shape[0] / first.shape[1], 0.5), 1.6))
+    block_width = len(shown[0].images) * (_PANEL_PX + _LINE_PX)
+    block_height = 2 * _LINE_PX + height + _LINE_PX  # two lines above a panel, a gap below
+    head = 3 * _LINE_PX
+    rows = -(-len(shown) // wide)
+    size = (wide * block_width + _LINE_PX, head + rows * block_height)
     sheet = Image.new("RGB", size, _BACKGROUND)
     pen = ImageDraw.Draw(sheet)
 
-    def write(place: tuple[int, int], text: str, colour: str, font: int, anchor: str) -> None:
-        pen.text(place, text, colour, ImageFont.load_default(font), anchor=anchor)
+    def write(corner: tuple[int, int], text: str, colour: str, font: float, anchor: str) -> None:
+        pen.text(corner, text, colour, ImageFont.load_default(font), anchor=anchor)
 
-    write((_EDGE, _HEAD // 2), title, _TEXT, 26, "lm")
-    write((sheet.width - _EDGE, _HEAD // 2), note, _FAINT, 18, "rm")
+    small = 0.75 * _LINE_PX
+    write((_LINE_PX, head // 2), title, _TEXT, _LINE_PX, "lm")
+    write((sheet.width - _LINE_PX, head // 2), note, _FAINT, small, "rm")
     for number, sample in enumerate(shown):
         row, column = divmod(number, wide)
-        left = column * block[0] + _EDGE
-        top = _HEAD + row * block[1] + _OVER
-        write((left, top - 24), sample.heading, _TEXT, 18, "lb")
+        left = column * block_width + _LINE_PX
+        top = head + row * block_height + 2 * _LINE_PX
+        write((left, top - _LINE_PX), sample.heading, _TEXT, small, "lb")
         for name, image in sample.images.items():
-            write((left, top - 4), name, _FAINT, 15, "lb")
+            write((left, top), name, _FAINT, small, "lb")
             full, colours = (1.0, _SHADOW) if name == "shadow" else (sample.full_scale, _ECHO)
             share = np.nan_to_num(np.asarray(image, np.float32) / np.float32(full))
             grey = Image.fromarray(np.clip(np.rint(share * 255), 0, 255).astype(np.uint8))
-            smaller = grey.width > _PANEL or height < grey.height
+            smaller = grey.width > _PANEL_PX or height < grey.height
             way = Image.Resampling.BOX if smaller else Image.Resampling.NEAREST
-            panel = ImageOps.colorize(grey.resize((_PANEL, height), way), *colours)
+            panel = ImageOps.colorize(grey.resize((_PANEL_PX, height), way), *colours)
             sheet.paste(panel, (left, top))
-            left += _PANEL + _GAP
+            left += _PANEL_PX + _LINE_PX
     buffer = io.BytesIO()
     sheet.save(buffer, "PNG", compress_level=1)
     return buffer.getvalue()

@@ -136,7 +136,7 @@ class DatasetRecordings:
                 yield self._read(name, rows[start : start + frames])
 
     def starts(self, name: str, frames: int) -> list[int]:
-        """Where windows without a gap begin, places in the recording."""
+        """Where windows without a gap begin, indices in the recording."""
         rows = self._rows[name]
         numbers = [row.number for row in rows]
         if any(number is None for number in numbers):
@@ -153,7 +153,7 @@ class DatasetRecordings:
         return self._rows[name][0].record
 
     def window(self, name: str, start: int, frames: int) -> FrameSequence:
-        """The window that begins at a place of `starts`."""
+        """The window that begins at an index of `starts`."""
         return self._read(name, self._rows[name][start : start + frames])
 
     def _read(self, name: str, rows: list[_Row]) -> FrameSequence:

@@ -27,8 +27,8 @@ from . import ERROR, Backend, Pool, Task, WorkerDied, answered, start_worker_pro
 
 _BEGIN_S = 60.0  # most time for a process to start, and for a further task to begin
 _FIRST_S = 300.0  # most time for its first task to begin: the process imports what it needs
-_END_S = 5.0  # most time for killed processes to exit
-_LOOK_S = 0.5  # time between two looks for processes that are late or dead
+END_S = 5.0  # most time for killed processes to exit
+LOOK_S = 0.5  # time between two looks for processes that are late or dead
 _NEWS = "news"
 
 
@@ -51,7 +51,7 @@ class LocalBackend(Backend):
         threading.Thread(target=self._watch, daemon=True).start()
 
     def _watch(self) -> None:
-        while not self._stopped.wait(_LOOK_S):
+        while not self._stopped.wait(LOOK_S):
             for worker in tuple(self._workers):
                 worker.kill_if_late()
 
@@ -71,7 +71,7 @@ class LocalBackend(Backend):
     def close(self) -> None:
         """Kill the workers now."""
         self._stopped.set()
-        deadline = time.monotonic() + _END_S
+        deadline = time.monotonic() + END_S
         # A worker that is starting its process at this moment cannot be closed yet.
         open_workers = [worker for worker in self._workers if not worker.close()]
         while open_workers and time.monotonic() < deadline:
@@ -156,7 +156,7 @@ class _Worker:
                     task.hear(value)
         except (EOFError, OSError):
             late = time.monotonic() >= self._deadline
-            exitcode = self._end(0 if late else _END_S)
+            exitcode = self._end(0 if late else END_S)
             if late and begun:
                 raise TimeoutError from None
             reason = "it did not respond before it had begun" if late else _exit_text(exitcode)
@@ -182,7 +182,7 @@ class _Worker:
     def _received(self) -> tuple[str, Any]:
         """The next message of the process.  Raises EOFError or OSError when it has exited."""
         # A copy of its end may live on in a process that something else here has forked.
-        while not self._connection.poll(_LOOK_S):
+        while not self._connection.poll(LOOK_S):
             if not self._runs() and not self._connection.poll():
                 raise EOFError
         kind, value = pickle.loads(self._connection.recv_bytes())
@@ -195,12 +195,12 @@ class _Worker:
         """
         self._deadline = math.inf
         self._connection.close()
-        for wait_s in (patience_s, _END_S):
+        for wait_s in (patience_s, END_S):
             end = time.monotonic() + wait_s
             while self._runs() and time.monotonic() < end:
                 time.sleep(0.01)
             _kill(self._process)
-        self._started.join(0 if self._runs() else _LOOK_S)
+        self._started.join(0 if self._runs() else LOOK_S)
         self._process = None
         return self._started.exitcode
 

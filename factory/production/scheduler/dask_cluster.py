@@ -18,10 +18,9 @@ from typing import Any
 
 from ...common.errors import FactoryError
 from ...common.workers import ERROR, Backend, Task, WorkerDied, answered
+from ...common.workers.local import END_S, LOOK_S
 from ...common.workers.template import THREAD_VARIABLES
 
-_STOP_S = 4.0  # most time to close the cluster
-_LOOK_S = 1.0  # time between two looks for tasks that are late
 _START_S = 120  # most time for a worker to start
 _ANSWER_S = 30  # most time to reach the scheduler, for its answers, and to fetch a result
 
@@ -159,7 +158,7 @@ class DaskBackend(Backend):
 
     def _watch(self) -> None:
         """Ends tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
-        while not self._stopped.wait(_LOOK_S):
+        while not self._stopped.wait(LOOK_S):
             self._count()
             with self._lock:
                 silent = (name for name, task in self._tasks.items() if task.is_late())
@@ -168,7 +167,7 @@ class DaskBackend(Backend):
                 with suppress(Exception):
                     processing = self._ask_scheduler("processing", workers=None)
                     addresses = [
-                        place for place, keys in processing.items() if task.remote.key in keys
+                        address for address, keys in processing.items() if task.remote.key in keys
                     ]
                     self._client.restart_workers(
                         addresses, timeout=_ANSWER_S, raise_for_error=False
@@ -184,7 +183,7 @@ class DaskBackend(Backend):
         for connection in (self._client, self._cluster):
             with suppress(Exception):
                 if connection is not None:
-                    connection.close(timeout=_STOP_S)
+                    connection.close(timeout=END_S)
 
 
 def _run(request: bytes, topic: str, key: str) -> bytes:

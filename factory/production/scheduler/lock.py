@@ -183,7 +183,7 @@ def _take_lock(publication: Publication) -> None:
 
 
 def _refuse_foreign_files(url: str, names: Iterable[str]) -> None:
-    """Raise FactoryError for a place with files other than a dataset's."""
+    """Raise FactoryError for a URL with files other than a dataset's."""
     # Slices of one dataset begin at the same time, and locks are all there is then.
     foreign = sorted(name for name in names if not name.startswith(LOCK_NAME))
     if foreign and not {"config.yaml", "manifest.json"} & set(foreign):
@@ -201,10 +201,10 @@ def _me() -> dict[str, Any]:
     return {"host": socket.gethostname(), "pid": os.getpid(), "space": space()}
 
 
-def _rivals(own: str, names: Iterable[str]) -> list[str]:
-    """The locks that must not be held beside `own`: the whole and a slice of it exclude others."""
-    locks = (name for name in names if name.startswith(LOCK_NAME) and name != own)
-    return [name for name in locks if LOCK_NAME in (name, own)]
+def _rivals(lock: str, names: Iterable[str]) -> list[str]:
+    """The locks that must not be held beside `lock`: the whole and a slice of it exclude others."""
+    locks = (name for name in names if name.startswith(LOCK_NAME) and name != lock)
+    return [name for name in locks if LOCK_NAME in (name, lock)]
 
 
 def _owner(path: Path) -> dict[str, Any]:
@@ -246,8 +246,8 @@ def _refuse_if_held(store: Store, name: str) -> dict[str, Any]:
     return owner
 
 
-def _refused(place: Path | str, owner: dict[str, Any]) -> FactoryError:
+def _refused(directory: Path | str, owner: dict[str, Any]) -> FactoryError:
     return FactoryError(
-        f"dataset.dir: {place} is being written by process {owner.get('pid')} on "
+        f"dataset.dir: {directory} is being written by process {owner.get('pid')} on "
         f"{owner.get('host')}; wait for it, or give another place with dataset.dir="
     )

@@ -173,6 +173,6 @@ def _failure(ref: FrameRef, error: Exception, shard: str) -> Failure:
     if isinstance(error, FactoryError):
         raise error
     last = traceback.extract_tb(error.__traceback__)[-1]
-    place = f"{Path(last.filename).name}:{last.lineno}"
-    reason = f"{ref.name}: {type(error).__name__}: {error} ({place})"
+    line = f"{Path(last.filename).name}:{last.lineno}"
+    reason = f"{ref.name}: {type(error).__name__}: {error} ({line})"
     return Failure(ref, "error", " ".join(reason.split()), shard)

@@ -31,7 +31,7 @@ MOVEMENT = ("surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MARGIN_DEG = 1.0  # beyond each edge of a sonar's sector
 _SIDE_PX = 64  # of the image in which an object's outline is counted
 _NEAREST_M = 0.05
-WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
+WORLD_SEED = 0  # the procedural world is one and the same, a location number a part of it
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Pose:
 
 
 class Stance(NamedTuple):
-    """What the user says of a camera; None: as the place or path has it.
+    """What the user says of a camera; None: as the location or path has it.
 
     altitude_m: above the ground right under it.  tilt_deg: how far it looks down; it is then level
     across.
@@ -264,11 +264,11 @@ class ZBuffer:
         if not len(ahead):
             return 0.0, 0.0
         fx, fy, cx, cy = self.optics.lens
-        places = ahead[:, :2] / ahead[:, 2:] * (fx, fy) + (cx, cy)
+        pixels = ahead[:, :2] / ahead[:, 2:] * (fx, fy) + (cx, cy)
         # What reaches beyond the image counts up to one image width or height on each side.
         limits = np.array([self.optics.width, self.optics.height])
-        left, top = np.clip(places.min(axis=0), -limits, 2 * limits)
-        right, bottom = np.clip(places.max(axis=0), -limits, 2 * limits)
+        left, top = np.clip(pixels.min(axis=0), -limits, 2 * limits)
+        right, bottom = np.clip(pixels.max(axis=0), -limits, 2 * limits)
         step = max((right - left) / _SIDE_PX, (bottom - top) / _SIDE_PX, 0.25)
         lens = fx / step, fy / step, (cx - left) / step, (cy - top) / step
         optics = Optics(lens, int((right - left) / step) + 2, int((bottom - top) / step) + 2)

@@ -18,13 +18,11 @@ _MOST_CORNERS = 5000
 _STRAIGHT = 1e-9
 
 
-def cut_concave_faces(
-    vertices: Float64s, polygons: Int64s, corners: Int64s, places: Int64s
-) -> None:
+def cut_concave_faces(vertices: Float64s, polygons: Int64s, corners: Int64s, uv: Int64s) -> None:
     """Replace the fans of concave faces by triangles inside them, in place.
 
     vertices: (V, 3).  polygons: (P, 2), first triangle and number of corners of each face of more
-    than three.  corners, places: (T, 3), numbers of vertices and texture coordinates of triangles.
+    than three.  corners, uv: (T, 3), numbers of vertices and texture coordinates of triangles.
     Raises FactoryError for a concave face of too many corners.
     """
     for count in np.unique(polygons[:, 1]):
@@ -42,9 +40,9 @@ def cut_concave_faces(
             first = firsts[face]
             rows = slice(first, first + count - 2)
             ears = _ears(flat[face])
-            own_places = np.concatenate([places[first, :2], places[rows, 2]])
+            face_uv = np.concatenate([uv[first, :2], uv[rows, 2]])
             corners[rows] = order[face][ears]
-            places[rows] = own_places[ears]
+            uv[rows] = face_uv[ears]
 
 
 def _third_corners(corners: Int64s, firsts: Int64s, count: int) -> list[Int64s]:
@@ -75,20 +73,20 @@ def _ears(flat: Float64s) -> Int64s:
     """(N - 2, 3): corners of the triangles that cover a counter-clockwise face (N, 2)."""
     remaining = list(range(len(flat)))
     triangles = []
-    place = 0
+    index = 0
     tried = 0
     while len(remaining) > 3:
-        around = [remaining[(place + step) % len(remaining)] for step in (-1, 0, 1)]
+        around = [remaining[(index + step) % len(remaining)] for step in (-1, 0, 1)]
         # One that crosses itself has no ear: any triangle will do.
         if tried > len(remaining) or _is_ear(flat, around, remaining):
             triangles.append(around)
-            del remaining[place % len(remaining)]
+            del remaining[index % len(remaining)]
             tried = 0
-            place += 1  # ears from all sides make no slivers at one corner
+            index += 1  # ears from all sides make no slivers at one corner
         else:
-            place += 1
+            index += 1
             tried += 1
-        place %= len(remaining)
+        index %= len(remaining)
     return np.array([*triangles, remaining])
 
 
@@ -98,7 +96,7 @@ def _is_ear(flat: Float64s, around: list[int], remaining: list[int]) -> bool:
         return False
     others = flat[remaining]
     inside = (_cross(a, b, others) >= 0) & (_cross(b, c, others) >= 0) & (_cross(c, a, others) >= 0)
-    # Corners at the same places are of the ear itself, or of a bridge to a hole.
+    # Corners at the same points are of the ear itself, or of a bridge to a hole.
     is_own = (others[:, None] == flat[around]).all(axis=2).any(axis=1)
     return not (inside & ~is_own).any()
 

@@ -68,22 +68,22 @@ class Buffers:
             raise ValueError("a sparse accessor replaces more elements than there are")
         indices = sparse["indices"]
         replacing = sparse["values"]
-        places = self._read(indices, indices["componentType"], count, 1)[:, 0]
+        rows = self._read(indices, indices["componentType"], count, 1)[:, 0]
         kind = accessor["componentType"]
-        values[places.astype(np.int64)] = self._read(replacing, kind, count, values.shape[1])
+        values[rows.astype(np.int64)] = self._read(replacing, kind, count, values.shape[1])
         return values
 
-    def _read(self, place: Document, component_type: int, count: int, width: int) -> Array:
-        """(count, width) elements at a place in a buffer view."""
-        view = self.document["bufferViews"][place["bufferView"]]
+    def _read(self, location: Document, component_type: int, count: int, width: int) -> Array:
+        """(count, width) elements at a location in a buffer view."""
+        view = self.document["bufferViews"][location["bufferView"]]
         dtype = np.dtype(_TYPES[component_type])
         step = int(view.get("byteStride", width * dtype.itemsize))
         # numpy refuses a shape that reaches beyond the buffer.
         return np.ndarray(
             (count, width),
             dtype,
-            self._view(place["bufferView"]),
-            int(place.get("byteOffset", 0)),
+            self._view(location["bufferView"]),
+            int(location.get("byteOffset", 0)),
             (step, dtype.itemsize),
         )
 

@@ -60,13 +60,13 @@ class MeshLimits(NamedTuple):
 class Shape(NamedTuple):
     """Vertices (V, 3) of a primitive, their colours (V, 3) and its triangles (T, 3).
 
-    places: (V, 2) in its texture, or None.  albedo: (H, W, 3) of the texture, or None.
+    uv: (V, 2) in its texture, or None.  albedo: (H, W, 3) of the texture, or None.
     """
 
     vertices: Array
     colours: Float32s
     triangles: Int64s
-    places: Array | None
+    uv: Array | None
     albedo: Float32s | None
 
 
@@ -136,8 +136,8 @@ class _SceneReader:
         roots = _roots(self._document)
         self._dtype: Dtype = np.float32
         self._in_world = _world_matrices(self._nodes, roots, self._dtype)
-        places = [np.abs(matrix[:3, 3]).max() for matrix in self._in_world.values()]
-        if max(places, default=0.0) > _FAR:
+        offsets = [np.abs(matrix[:3, 3]).max() for matrix in self._in_world.values()]
+        if max(offsets, default=0.0) > _FAR:
             self._dtype = np.float64
             self._in_world = _world_matrices(self._nodes, roots, self._dtype)
         self._albedos: dict[int, Float32s] = {}
@@ -203,23 +203,23 @@ class _SceneReader:
         if len(triangles) and triangles.max() >= len(vertices):
             raise ValueError("its faces name vertices that are not there")
         # Primitives often share the vertices of a whole file.
-        used, own_corners = np.unique(triangles, return_inverse=True)
+        used, used_corners = np.unique(triangles, return_inverse=True)
 
         surface = self._surface(primitive)
         colours = np.broadcast_to(np.array(surface.colour or GREY), vertices.shape)
         if "COLOR_0" in attributes:
             stored = self._buffers.stored(attributes["COLOR_0"])[:, :3]
             colours = np.array(surface.colour or (1.0, 1.0, 1.0)) * unit_colours(stored)
-        places = None
+        uv = None
         if surface.texture is not None and f"TEXCOORD_{surface.coordinates}" in attributes:
-            places = self._buffers.numbers(attributes[f"TEXCOORD_{surface.coordinates}"])[:, :2]
-            places = _turned_twice(surface.placed(places))
-        albedo = self._albedo(surface.texture) if places is not None else None
+            uv = self._buffers.numbers(attributes[f"TEXCOORD_{surface.coordinates}"])[:, :2]
+            uv = _turned_twice(surface.transformed(uv))
+        albedo = self._albedo(surface.texture) if uv is not None else None
         return Shape(
             vertices[used],
             np.asarray(colours[used], np.float32),
-            own_corners.reshape(-1, 3),
-            places[used] if places is not None else None,
+            used_corners.reshape(-1, 3),
+            uv[used] if uv is not None else None,
             albedo,
         )
 
@@ -270,9 +270,9 @@ class _SceneReader:
         if count > self._limits.parts:
             raise FactoryError(f"has more than {self._limits.parts:,} parts: join some")
         instances = []
-        for place in range(count):
-            own = {name.lower(): values[place] for name, values in columns.items()}
-            instances.append(_product(world, _matrix(own, self._dtype)))
+        for number in range(count):
+            transform = {name.lower(): values[number] for name, values in columns.items()}
+            instances.append(_product(world, _matrix(transform, self._dtype)))
         return instances
 
     def _joint_matrices(self, skin_number: int) -> Array:
@@ -312,9 +312,9 @@ class _Surface(NamedTuple):
     rotation_rad: float = 0.0
     scale: tuple[float, float] = (1.0, 1.0)
 
-    def placed(self, places: Array) -> Array:
+    def transformed(self, uv: Array) -> Array:
         """Texture coordinates (N, 2) as KHR_texture_transform changes them."""
-        u, v = (places * self.scale).T
+        u, v = (uv * self.scale).T
         cosine = np.cos(self.rotation_rad)
         sine = np.sin(self.rotation_rad)
         turned = np.stack([cosine * u - sine * v, sine * u + cosine * v], axis=-1)
@@ -357,21 +357,21 @@ def _piece(shape: Shape, matrix: Matrix) -> tuple[Array, Float32s, Any]:
     triangles = shape.triangles
     if np.linalg.det(matrix[:3, :3]) < 0:  # a mirror image would be inside out
         triangles = triangles[:, ::-1]
-    if shape.places is None or shape.albedo is None:
+    if shape.uv is None or shape.albedo is None:
         return vertices, shape.colours, triangles
     painted = paint_surface(
-        vertices[triangles], shape.places[triangles], shape.albedo, shape.colours[triangles]
+        vertices[triangles], shape.uv[triangles], shape.albedo, shape.colours[triangles]
     )
     return painted.vertices, painted.colours, painted.triangles
 
 
-def _turned_twice(places: Array) -> Array:
+def _turned_twice(uv: Array) -> Array:
     """Texture coordinates rounded as by readers that count v from the bottom and back.
 
     Earlier versions read glTF through one of them, and datasets keep their bytes.
     """
-    from_bottom = np.float32(1) - places[:, 1].astype(np.float32)
-    return np.stack([places[:, 0], 1 - from_bottom.astype(np.float64)], axis=-1)
+    from_bottom = np.float32(1) - uv[:, 1].astype(np.float32)
+    return np.stack([uv[:, 0], 1 - from_bottom.astype(np.float64)], axis=-1)
 
 
 def _triangles(corners: Int64s, mode: int) -> Int64s:
@@ -390,9 +390,9 @@ def _blend(vertices: Array, joints: Array, which: Int64s, weights: Array) -> Arr
     """(V, 3): the weighted sum of where up to four joints (J, 4, 4) put each vertex."""
     homogeneous = np.append(vertices, np.ones((len(vertices), 1)), axis=1)
     moved = np.zeros_like(vertices)
-    for place in range(which.shape[1]):
-        at_joint = np.einsum("vij,vj->vi", joints[which[:, place], :3], homogeneous)
-        moved += weights[:, place, None] * at_joint
+    for joint in range(which.shape[1]):
+        at_joint = np.einsum("vij,vj->vi", joints[which[:, joint], :3], homogeneous)
+        moved += weights[:, joint, None] * at_joint
     return moved
 
 
@@ -453,7 +453,7 @@ def _matrix(node: Document, dtype: Dtype) -> Matrix:
 
 def _product(left: Matrix, right: Matrix) -> Matrix:
     """(4, 4), summed in order: a matrix product of numpy rounds as the machine's library does."""
-    terms = [left[:, place, None] * right[None, place] for place in range(4)]
+    terms = [left[:, index, None] * right[None, index] for index in range(4)]
     return np.asarray(terms[0] + terms[1] + terms[2] + terms[3])
 
 

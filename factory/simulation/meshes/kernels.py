@@ -51,7 +51,7 @@ def sum_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any) -> Any:
 
 @compiled()
 def in_camera_axes(point: Any, eye: Any, axes: Any) -> Any:
-    """A point in a camera's own axes: across, down, ahead."""
+    """A point in a camera's axes: across, down, ahead."""
     x = point[0] - eye[0]
     y = point[1] - eye[1]
     z = point[2] - eye[2]
@@ -140,14 +140,14 @@ def rasterise_mesh(
         (height - 1 - middle_y) * step_y,
     )
     across_by_column = (np.arange(width) - middle_x) * step_x
-    placed = np.empty((len(points), 3), np.float64)  # in camera axes
+    in_view = np.empty((len(points), 3), np.float64)  # in camera axes
     pixels = np.empty((len(points), 2), np.float32)  # column and row
     for part in range(len(parts)):
         for k in range(parts[part, 0], parts[part, 2]):
             across, down, depth = in_camera_axes(points[k], eye, axes)
-            placed[k, 0] = across
-            placed[k, 1] = down
-            placed[k, 2] = depth
+            in_view[k, 0] = across
+            in_view[k, 1] = down
+            in_view[k, 2] = depth
             over = 1 / max(depth, _NEAR_M)
             pixels[k, 0] = across * over * fx + middle_x
             pixels[k, 1] = down * over * fy + middle_y
@@ -155,9 +155,9 @@ def rasterise_mesh(
             a = _U(triangles[k, 0])
             b = _U(triangles[k, 1])
             c = _U(triangles[k, 2])
-            first_corner = (placed[a, 0], placed[a, 1], placed[a, 2])
-            second_corner = (placed[b, 0], placed[b, 1], placed[b, 2])
-            third_corner = (placed[c, 0], placed[c, 1], placed[c, 2])
+            first_corner = (in_view[a, 0], in_view[a, 1], in_view[a, 2])
+            second_corner = (in_view[b, 0], in_view[b, 1], in_view[b, 2])
+            third_corner = (in_view[c, 0], in_view[c, 1], in_view[c, 2])
             if max(first_corner[2], second_corner[2], third_corner[2]) <= _NEAR_M:
                 continue
             first = 0

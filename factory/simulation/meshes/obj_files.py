@@ -206,8 +206,8 @@ class _Geometry:
     """What the lines of an .obj add up to.
 
     coordinates, texture_coordinates, colours: flat numbers, three, two and three for each.
-    corners: of triangles, three of each: numbers of vertices.  places: of texture coordinates, -1:
-        none.  groups, materials: of each triangle, numbers in the lists of names.
+    corners: of triangles, three of each: numbers of vertices.  uv_corners: of texture coordinates,
+        -1: none.  groups, materials: of each triangle, numbers in the lists of names.
     polygons: of each face of more than three corners its first triangle and number of corners.
     """
 
@@ -215,7 +215,7 @@ class _Geometry:
     colours: array[float] = field(default_factory=lambda: array("d"))
     texture_coordinates: array[float] = field(default_factory=lambda: array("d"))
     corners: array[int] = field(default_factory=lambda: array("q"))
-    places: array[int] = field(default_factory=lambda: array("q"))
+    uv_corners: array[int] = field(default_factory=lambda: array("q"))
     groups: array[int] = field(default_factory=lambda: array("q"))
     polygons: array[int] = field(default_factory=lambda: array("q"))
     materials: array[int] = field(default_factory=lambda: array("q"))
@@ -238,13 +238,13 @@ def read_obj(path: Path, most_faces: int, most_parts: int) -> list[RawPart]:
         colours = unit_colours(stored_colours).astype(np.float32)
     uv = np.array(geometry.texture_coordinates, np.float64).reshape(-1, 2)
     corners = np.array(geometry.corners, np.int64).reshape(-1, 3)
-    places = np.array(geometry.places, np.int64).reshape(-1, 3)
+    uv_corners = np.array(geometry.uv_corners, np.int64).reshape(-1, 3)
     if len(corners) and not (corners.min() >= 0 and corners.max() < len(vertices)):
         raise FactoryError("damaged: its faces name vertices that are not there")
-    if len(places) and places.max() >= len(uv):
+    if len(uv_corners) and uv_corners.max() >= len(uv):
         raise FactoryError("damaged: its faces name texture coordinates that are not there")
     polygons = np.array(geometry.polygons, np.int64).reshape(-1, 2)
-    cut_concave_faces(vertices, polygons, corners, places)
+    cut_concave_faces(vertices, polygons, corners, uv_corners)
 
     library: dict[str, Material] = {}
     for file in geometry.libraries:
@@ -263,9 +263,9 @@ def read_obj(path: Path, most_faces: int, most_parts: int) -> list[RawPart]:
     is_first = np.diff(part[order] * len(material_names) + material[order], prepend=-1) != 0
     pieces: dict[int, list[RawPart]] = {number: [] for number in part_of_group.values()}
     for chosen in np.split(order, np.flatnonzero(is_first)[1:]) if len(order) else ():
-        own = library.get(material_names[material[chosen[0]]], Material())
+        face_material = library.get(material_names[material[chosen[0]]], Material())
         pieces[part[chosen[0]]] += _pieces(
-            vertices, colours, uv, corners[chosen], places[chosen], own
+            vertices, colours, uv, corners[chosen], uv_corners[chosen], face_material
         )
     return [_joined(name, pieces[number]) for name, number in part_of_group.items()]
 
@@ -312,21 +312,21 @@ def _add_face(geometry: _Geometry, rest: str) -> int:
     A fan fills what is concave; `cut_concave_faces` puts it right once all vertices are known.
     """
     vertex_count = len(geometry.coordinates) // 3
-    place_count = len(geometry.texture_coordinates) // 2
+    uv_count = len(geometry.texture_coordinates) // 2
     corners = []
-    places = []
+    uv_corners = []
     for word in rest.split():
         vertex, _, others = word.partition("/")
-        place = others.partition("/")[0]
+        uv_text = others.partition("/")[0]
         number = int(vertex)
         corners.append(number - 1 if number > 0 else vertex_count + number)
-        number = int(place) if place else 0
-        places.append(number - 1 if number >= 0 else place_count + number)
+        number = int(uv_text) if uv_text else 0
+        uv_corners.append(number - 1 if number >= 0 else uv_count + number)
     if len(corners) > 3:
         geometry.polygons.extend((len(geometry.groups), len(corners)))
     for second in range(1, len(corners) - 1):
         geometry.corners.extend((corners[0], corners[second], corners[second + 1]))
-        geometry.places.extend((places[0], places[second], places[second + 1]))
+        geometry.uv_corners.extend((uv_corners[0], uv_corners[second], uv_corners[second + 1]))
     return max(len(corners) - 2, 0)
 
 
@@ -343,7 +343,7 @@ def _pieces(
     colours: Float32s | None,
     uv: Float64s,
     corners: Int64s,
-    places: Int64s,
+    uv_corners: Int64s,
     material: Material,
 ) -> list[RawPart]:
     """The triangles of one material, painted where it has a texture and they have coordinates."""
@@ -351,9 +351,9 @@ def _pieces(
     is_painted = np.zeros(len(corners), bool)
     texture = material.texture
     if texture is not None and len(uv):
-        is_painted = (places >= 0).all(axis=1)
+        is_painted = (uv_corners >= 0).all(axis=1)
     if texture is not None and is_painted.any():
-        coordinates = uv[places[is_painted]] * texture.scale + texture.offset
+        coordinates = uv[uv_corners[is_painted]] * texture.scale + texture.offset
         if texture.is_clamped:
             coordinates = np.clip(coordinates, 0, 1)
         from_top = coordinates * (1, -1) + (0, 1)
@@ -365,8 +365,8 @@ def _pieces(
         pieces.append(RawPart("", points, painted, triangles))
     if not is_painted.all():
         used, plain_corners = np.unique(corners[~is_painted], return_inverse=True)
-        own = np.broadcast_to(np.array(material.colour, np.float32), (len(used), 3))
-        shades = own.copy() if colours is None else colours[used]
+        plain = np.broadcast_to(np.array(material.colour, np.float32), (len(used), 3))
+        shades = plain.copy() if colours is None else colours[used]
         triangles = plain_corners.reshape(-1, 3).astype(np.int32)
         pieces.append(RawPart("", vertices[used], shades, triangles))
     return pieces

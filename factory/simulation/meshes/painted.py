@@ -68,21 +68,21 @@ class PaintedSurface(NamedTuple):
 
 def paint_surface(
     corners: Array,
-    places: Array,
+    uv: Array,
     albedo: Float32s,
     tints: Float32s | None = None,
 ) -> PaintedSurface:
     """Cut a textured surface into small triangles and give their vertices the texture's colours.
 
-    corners: (T, 3, 3).  places: (T, 3, 2) in widths and heights of the (H, W, 3) texture, whose top
-    row has place 0.  tints: (T, 3, 3), factors of the texture's colours at the corners.
+    corners: (T, 3, 3).  uv: (T, 3, 2) in widths and heights of the (H, W, 3) texture, whose top
+    row has v = 0.  tints: (T, 3, 3), factors of the texture's colours at the corners.
     """
     # Points of 32 bits lie apart by a millimetre in ten kilometres, so they start from the middle.
     middle = np.zeros(3)
     if len(corners):
         centre = corners.reshape(-1, 3).mean(axis=0)
         middle = np.where(np.abs(centre) > 1000, np.round(centre), 0.0)
-    columns = [corners - middle, places, *([] if tints is None else [tints])]
+    columns = [corners - middle, uv, *([] if tints is None else [tints])]
     cut = np.concatenate(columns, axis=-1).astype(np.float32)
     while 0 < len(cut) < _LEAST_TRIANGLES:
         cut = _quartered(cut)

@@ -209,8 +209,8 @@ class MeshReader:
         last_ref = FrameRef(location, scenes[0], f"{views - 1:04d}")
         duration_s = settings.time_s(last_ref) - settings.start_s
         paths += check_paths(settings.moving, duration_s)
-        places = itertools.product(scenes, range(views))
-        refs = (FrameRef(location, scene, f"{view:04d}", paths) for scene, view in places)
+        views_of_scenes = itertools.product(scenes, range(views))
+        refs = (FrameRef(location, scene, f"{view:04d}", paths) for scene, view in views_of_scenes)
         return Discovery(tuple(refs), notes=notes)
 
     def load(self, ref: FrameRef) -> Frame:
@@ -382,15 +382,15 @@ class MeshReader:
         tilt_deg = float(np.rad2deg(tilt_rad))
 
         def transect(travelled_m: float, stance: Stance) -> Pose:
-            place = target.centre + (travelled_m - target.reach_m) * ahead + aside
-            eye = self._clear(place, level_m)
+            point = target.centre + (travelled_m - target.reach_m) * ahead + aside
+            eye = self._clear(point, level_m)
             return self._standing(eye, heading_deg, tilt_deg, ground_m, stance)
 
         return transect
 
-    def _level_above(self, places: Float64s, target: PathTarget) -> float:
-        """Height of the ground below a path: the median at (N, 3) places along it."""
-        measured = [height for height in map(self._ground_m, places) if height is not None]
+    def _level_above(self, points: Float64s, target: PathTarget) -> float:
+        """Height of the ground below a path: the median at (N, 3) points along it."""
+        measured = [height for height in map(self._ground_m, points) if height is not None]
         return float(np.median(measured)) if measured else float(target.centre[2])
 
     def _standing(
@@ -401,7 +401,7 @@ class MeshReader:
         path_ground_m: float,
         stance: Stance,
     ) -> Pose:
-        """The pose at a place of a path, as its stance says.
+        """The pose at a point of a path, as its stance says.
 
         path_ground_m: height of the ground along the path, which counts where none lies below.
         """
@@ -414,16 +414,16 @@ class MeshReader:
             eye = np.array([*eye[:2], ground_m + stance.altitude_m])
         return pose(eye, heading_deg, tilt_deg, 0.0)
 
-    def _clear(self, place: Float64s, level_m: float) -> Float64s:
-        """The place at a level, or higher: clear of what lies under it."""
-        ground_m = self._ground_m(place)
+    def _clear(self, point: Float64s, level_m: float) -> Float64s:
+        """The point at a level, or higher: clear of what lies under it."""
+        ground_m = self._ground_m(point)
         clear = level_m if ground_m is None else max(level_m, ground_m + _CLEAR_M)
-        return np.array([*place[:2], clear])
+        return np.array([*point[:2], clear])
 
-    def _ground_m(self, place: Float64s) -> float | None:
-        """Height of the highest surface at a place, metres; None where there is none."""
+    def _ground_m(self, point: Float64s) -> float | None:
+        """Height of the highest surface at a point, metres; None where there is none."""
         top_m = float(self._world.objects.mesh.vertices[:, 2].max()) + 1
-        below = self._altitude_m(np.array([*place[:2], top_m]))
+        below = self._altitude_m(np.array([*point[:2], top_m]))
         return None if below is None else top_m - below
 
     def _altitude_m(self, eye: Float64s) -> float | None:

@@ -25,7 +25,7 @@ _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 # Seconds since 1970 until the year 5138; larger numbers count milliseconds or less.
 _LATEST_S = 1e11
 _TIME_NAME = re.compile(r"(?:time|timestamp|t|stamp)(?:_(?P<unit>ns|us|ms|s|sec))?")
-_PLACE_NAME = re.compile(r"(?:(?:t|p|pos|position|translation)_?(?:[a-z]+_)*)?(?P<axis>[xyz])")
+_OFFSET_NAME = re.compile(r"(?:(?:t|p|pos|position|translation)_?(?:[a-z]+_)*)?(?P<axis>[xyz])")
 _TURN_NAME = re.compile(r"(?:q|quat|quaternion|orientation)_?(?:[a-z]+_)*(?P<axis>[wxyz])")
 
 
@@ -95,8 +95,8 @@ def trajectory(path: Path) -> tuple[Float64s, Float64s]:
     table = np.array([numbers_in(path, line, names) for line in lines])
     if header:
         factors = {column.name: column.factor for column in header.columns.values()}
-        places = {column.name: place for place, column in header.columns.items()}
-        table = np.stack([table[:, places[name]] * factors[name] for name in _COLUMNS], axis=1)
+        indices = {column.name: index for index, column in header.columns.items()}
+        table = np.stack([table[:, indices[name]] * factors[name] for name in _COLUMNS], axis=1)
     if np.abs(table[:, 0]).max() > _LATEST_S:
         raise FactoryError(
             f"{path}: time {table[0, 0]:.6g} s is no time in seconds; name its unit in a header, "
@@ -129,7 +129,7 @@ def _rotations(quaternions: Float64s) -> Float64s:
 class _Header(NamedTuple):
     """The header of a file of poses.
 
-    line: its number.  names: names of all columns, as stated.  columns: place of each number of a
+    line: its number.  names: names of all columns, as stated.  columns: index of each number of a
     pose.
     """
 
@@ -155,7 +155,7 @@ def _header(path: Path) -> _Header | None:
         return None
     number, text = candidate
     names = _names(text.lstrip("#").strip())
-    columns = {place: column for place, name in enumerate(names) if (column := _column(path, name))}
+    columns = {index: column for index, name in enumerate(names) if (column := _column(path, name))}
     found_names = [column.name for column in columns.values()]
     names_turn = any(name.startswith("q") for name in found_names)
     if not ({"tx", "ty", "tz"} <= set(found_names) and (names_turn or len(names) == column_count)):
@@ -196,8 +196,8 @@ def _column(path: Path, stated: str) -> _Column | None:
         return _Column("time", _factor(path, stated, unit or time["unit"], _SECONDS))
     if turn := _TURN_NAME.fullmatch(name):
         return _Column(f"q{turn['axis']}", 1.0)
-    if place := _PLACE_NAME.fullmatch(name):
-        return _Column(f"t{place['axis']}", _factor(path, stated, unit, _METRES))
+    if offset := _OFFSET_NAME.fullmatch(name):
+        return _Column(f"t{offset['axis']}", _factor(path, stated, unit, _METRES))
     return None
 
 
