@@ -7,6 +7,7 @@ own and put into the container.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -18,10 +19,11 @@ from PIL import Image as PillowImage
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
-from ..recordings.animations import PNG_SIGNATURE, Animation, png_chunk
+from ..recordings.animations import Animation
 from ..recordings.base import swapped
 from .video_writer import TimedImage
 
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _USUAL_DURATION_S = 0.1
 _MOST_MS = (1 << 24) - 1
 _LOSSLESS = 101  # OpenCV's quality of WebP
@@ -123,7 +125,7 @@ def _three_bytes(value: int) -> bytes:
 
 def _write_png(output: IO[bytes], images: Iterable[TimedImage], source: Animation) -> None:
     """Animated PNG of the third edition of the PNG specification (W3C 2025)."""
-    output.write(PNG_SIGNATURE)
+    output.write(_PNG_SIGNATURE)
     control = sequence = count = 0
     for timed in images:
         image = timed.image
@@ -133,26 +135,26 @@ def _write_png(output: IO[bytes], images: Iterable[TimedImage], source: Animatio
         assert done
         chunks = list(_png_chunks(content.tobytes()))
         if count == 0:
-            output.write(png_chunk(b"IHDR", chunks[0][1]))
+            output.write(_png_chunk(b"IHDR", chunks[0][1]))
             control = output.tell()
-            output.write(png_chunk(b"acTL", struct.pack(">2I", 0, source.loops)))
+            output.write(_png_chunk(b"acTL", struct.pack(">2I", 0, source.loops)))
         height, width = image.shape[:2]
         place = (width, height, 0, 0)
         frame_control = struct.pack(
             ">5I2H2B", sequence, *place, _milliseconds_16(timed), 1000, 0, 0
         )
-        output.write(png_chunk(b"fcTL", frame_control))
+        output.write(_png_chunk(b"fcTL", frame_control))
         sequence += 1
         for kind, body in chunks:
             if kind == b"IDAT" and count == 0:
-                output.write(png_chunk(b"IDAT", body))
+                output.write(_png_chunk(b"IDAT", body))
             elif kind == b"IDAT":
-                output.write(png_chunk(b"fdAT", struct.pack(">I", sequence) + body))
+                output.write(_png_chunk(b"fdAT", struct.pack(">I", sequence) + body))
                 sequence += 1
         count += 1
-    output.write(png_chunk(b"IEND", b""))
+    output.write(_png_chunk(b"IEND", b""))
     output.seek(control)
-    output.write(png_chunk(b"acTL", struct.pack(">2I", count, source.loops)))
+    output.write(_png_chunk(b"acTL", struct.pack(">2I", count, source.loops)))
 
 
 def _milliseconds_16(timed: TimedImage) -> int:
@@ -161,8 +163,14 @@ def _milliseconds_16(timed: TimedImage) -> int:
 
 def _png_chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
     """Kind and content of each chunk of a PNG file."""
-    offset = len(PNG_SIGNATURE)
+    offset = len(_PNG_SIGNATURE)
     while offset < len(content):
         length = int.from_bytes(content[offset : offset + 4], "big")
         yield content[offset + 4 : offset + 8], content[offset + 8 : offset + 8 + length]
         offset += 12 + length
+
+
+def _png_chunk(kind: bytes, content: bytes) -> bytes:
+    """A chunk of a PNG file with its length and checksum."""
+    checksum = struct.pack(">I", zlib.crc32(kind + content))
+    return struct.pack(">I", len(content)) + kind + content + checksum

@@ -114,7 +114,7 @@ class VideoFile(Recording):
             self._stated_s = self._duration_s(stream)
             stated = stream.frames or round((self._stated_s or 0) * (self.rate_hz or 0))
             first = self._first_frame(stream)
-            self._has_alpha = any(component.is_alpha for component in first.format.components)
+            self._has_alpha = _has_alpha(first)
             self.properties = VideoProperties(
                 bits=max(8, *(component.bits for component in first.format.components)),
                 is_grey=_is_grey_format(first.format),
@@ -350,6 +350,13 @@ def _is_cover(stream: Any) -> bool:
 
 def _is_grey_format(pixel_format: Any) -> bool:
     return len(pixel_format.components) == 1 and pixel_format.name.startswith(("gray", "mono"))
+
+
+def _has_alpha(first: Any) -> bool:
+    """Whether something of a frame shows what is under it."""
+    if not any(component.is_alpha for component in first.format.components):
+        return False
+    return int(first.to_ndarray(format="rgba")[..., 3].min()) < 255
 
 
 def _pixel_aspect_of(stream: Any, first: Any) -> Fraction:
