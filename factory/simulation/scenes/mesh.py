@@ -24,8 +24,6 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from ...common.array_types import Float64s, UInt8s
-from ...common.distribution import Altitude
-from ...common.distribution import Angle as DrawnAngle
 from ...common.errors import FactoryError, FrameError
 from ...common.files import shortened
 from ...common.limits import limited
@@ -45,9 +43,9 @@ from ..meshes.blend_files import camera_image
 from ..meshes.camera import Objects, Optics, Pose, Stance, ZBuffer, camera, centred, pose
 from ..meshes.mesh_parts import READING, MeshPart, Up, files_of, read_model, stands_like_a_wall
 from .base import LONGEST_NAME, Discovery, OwnClass, Root
-from .moving import MovingObject, check_moving, check_paths
+from .moving import check_paths
 from .poses import PosesFrame, axes_remark, optical_trajectory, trajectory
-from .seabed import OwnObject, RecordingSettings
+from .seabed import RecordingSettings
 
 _LARGEST_M = 3000.0
 _KEY = "scenes.file"
@@ -107,22 +105,10 @@ class MeshSettings(RecordingSettings):
     distance_m: Span = (2.0, 4.0)
     tilt_deg: TiltSpan = (20.0, 35.0)
     speed_m_s: Annotated[float, limited(0, 30, "m/s")] = 0.5
-    width: Annotated[int, Field(ge=64, le=4096)] = 968
-    height: Annotated[int, Field(ge=48, le=4096)] = 608
-    hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
-    vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
-    boxes: bool = False
-    camera_altitude_m: Altitude | None = None
-    camera_tilt_deg: DrawnAngle | None = None
-    frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
-    moving_objects: tuple[MovingObject, ...] = ()
-    own_objects: tuple[OwnObject, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse half a sector, views that are all alike, and objects that cannot move."""
-        check_moving(self.moving)
-        if (self.hfov_deg is None) != (self.vfov_deg is None):
-            raise ValueError("give hfov_deg and vfov_deg, or neither")
+        """Refuse views that are all alike, and objects that cannot move."""
+        super().__post_init__()
         if self.speed_m_s == 0 and self.frame_rate_hz is None:
             raise ValueError("speed_m_s: 0 is of recordings; set frame_rate_hz, such as 10")
         if self.poses is not None and self.frame_rate_hz is not None:
@@ -131,8 +117,6 @@ class MeshSettings(RecordingSettings):
             raise ValueError("poses_frame: is of recorded poses; set poses, or leave it out")
         if not all(own_object.moving for own_object in self.own_objects):
             raise ValueError("own_objects need moving; put what lies still into scenes.file")
-        if self.moving and not self.is_recording:
-            raise ValueError("moving objects need recordings; set frame_rate_hz, such as 10")
 
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
@@ -140,8 +124,8 @@ class MeshSettings(RecordingSettings):
 
     @property
     def is_recording(self) -> bool:
-        """Whether the frames of a path are one recording."""
-        return self.frame_rate_hz is not None or self.poses is not None
+        """See `RecordingSettings`."""
+        return super().is_recording or self.poses is not None
 
     def rendered_ref(self, ref: FrameRef) -> FrameRef:
         """See `SceneSettings`: a sonar at rest sees the same static scene in all frames."""

@@ -97,15 +97,33 @@ class OwnMesh(NamedTuple):
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True, config=STRICT, kw_only=True)
 class RecordingSettings(SceneSettings):
-    """What readers have in common whose scenes may be recordings, through which objects move.
+    """Keys of the readers whose scenes may be recordings; see `SeabedSettings`."""
 
-    They declare the keys as fields; this class adds none.
-    """
+    width: Annotated[int, Field(ge=64, le=4096)] = 968
+    height: Annotated[int, Field(ge=48, le=4096)] = 608
+    hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
+    vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
+    own_objects: tuple[OwnObject, ...] = ()
+    frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
+    moving_objects: tuple[MovingObject, ...] = ()
+    boxes: bool = False
+    camera_altitude_m: Altitude | None = None
+    camera_tilt_deg: DrawnAngle | None = None
 
-    moving_objects: tuple[MovingObject, ...]
-    own_objects: tuple[OwnObject, ...]
-    frame_rate_hz: float | None
+    def __post_init__(self) -> None:
+        """Refuse half a sector, and objects that cannot move."""
+        check_moving(self.moving)
+        if self.moving and not self.is_recording:
+            raise ValueError("moving objects need recordings; set frame_rate_hz, such as 10")
+        if (self.hfov_deg is None) != (self.vfov_deg is None):
+            raise ValueError("give hfov_deg and vfov_deg, or neither")
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether the frames of a scene are one recording."""
+        return self.frame_rate_hz is not None
 
     @property
     def movers(self) -> dict[str, Mover]:
@@ -136,7 +154,7 @@ class RecordingSettings(SceneSettings):
         return self.frame_rate_hz is not None or self.has_moving_objects
 
 
-@dataclass(frozen=True, config=STRICT)
+@dataclass(frozen=True, config=STRICT, kw_only=True)
 class SeabedSettings(RecordingSettings):
     """Keys of `scenes` for the procedural seabed.
 
@@ -164,20 +182,10 @@ class SeabedSettings(RecordingSettings):
     locations: Annotated[int, Field(ge=1, le=_LAST)] = 20
     first_location: Annotated[int, Field(ge=0, lt=_LAST)] = 0
     frames_per_location: Annotated[int, Field(ge=1, le=_LAST)] = 10
-    width: Annotated[int, Field(ge=64, le=4096)] = 968
-    height: Annotated[int, Field(ge=48, le=4096)] = 608
-    hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
-    vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
     path: Root | None = None
     objects: Annotated[float, Field(ge=0, le=4)] = 1.0
     kinds: tuple[ObjectName, ...] | None = None
     places: Annotated[tuple[PlaceName | ObjectPlaceName, ...], Field(min_length=1)] | None = None
-    own_objects: tuple[OwnObject, ...] = ()
-    frame_rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
-    moving_objects: tuple[MovingObject, ...] = ()
-    boxes: bool = False
-    camera_altitude_m: Altitude | None = None
-    camera_tilt_deg: DrawnAngle | None = None
     depth_gaps: bool = True
 
     def own(self) -> tuple[OwnClass, ...]:
@@ -193,8 +201,8 @@ class SeabedSettings(RecordingSettings):
 
     @property
     def is_recording(self) -> bool:
-        """Whether the frames of a location are one recording."""
-        return self.frame_rate_hz is not None or self.path is not None
+        """See `RecordingSettings`."""
+        return super().is_recording or self.path is not None
 
     def rendered_ref(self, ref: FrameRef) -> FrameRef:
         """See `SceneSettings`: a sonar at rest sees the same static scene in all frames."""
@@ -219,12 +227,8 @@ class SeabedSettings(RecordingSettings):
         return movements(Path(self.path).expanduser())[0].get("time_s", 0.0)
 
     def __post_init__(self) -> None:
-        """Refuse locations whose number has more than four digits, and half a sector."""
-        check_moving(self.moving)
-        if self.moving and not self.is_recording:
-            raise ValueError("moving objects need recordings; set frame_rate_hz, such as 10")
-        if (self.hfov_deg is None) != (self.vfov_deg is None):
-            raise ValueError("give hfov_deg and vfov_deg, or neither")
+        """Refuse locations whose number has more than four digits."""
+        super().__post_init__()
         if self.first_location + self.locations > _LAST:
             raise ValueError(f"first_location + locations must not exceed {_LAST}")
 
