@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.settings import build
@@ -49,38 +46,6 @@ def test_a_record_limits_the_data_to_what_the_camera_saw() -> None:
     assert geometry.sector_mask(3, 4).all()
     with pytest.raises(KeyError):
         FanGeometry.from_record(sonar(POLAR), {"range_min_m": 1.0})
-
-
-@given(
-    st.integers(0, 3), st.floats(-20, 60), st.floats(40, 90), st.floats(0.6, 1.6),
-    st.integers(30, 50), st.integers(30, 50),
-)  # fmt: skip
-def test_turned_fans(
-    turns: int, apex_x: float, apex_y: float, scale: float, rows: int, columns: int
-) -> None:
-    """An image and its geometry, turned alike, belong together."""
-    upright = FanGeometry.fan(
-        1.2, apex_x_px=apex_x, apex_y_px=apex_y, near_px=15, far_px=80, x_scale=scale
-    )
-    size = (columns, rows) if turns % 2 else (rows, columns)
-    turned = upright.turned_back(turns, *size)
-    assert turned.quarter_turns == turns
-    back = turned.turned(*size)
-    assert (back.apex_x_px, back.apex_y_px) == pytest.approx((apex_x, apex_y))
-    assert replace(back, apex_x_px=apex_x, apex_y_px=apex_y) == upright
-    expected = upright.maps(0, 0, rows, columns)
-    actual = turned.maps(0, 0, *size)
-    away = np.rot90(actual["range_fraction"], turns)
-    np.testing.assert_allclose(away, expected["range_fraction"], atol=1e-5)
-    # Behind the apex the bearing turns over, and in it there is none.
-    apart = np.rot90(actual["azimuth_rad"], turns) - expected["azimuth_rad"]
-    apart = np.abs((apart + np.pi) % (2 * np.pi) - np.pi)[away > 0.02]
-    assert apart.max() < 1e-3
-    off = np.rot90(turned.sector_mask(*size), turns) != upright.sector_mask(rows, columns)
-    assert off.mean() < 0.01, "but for rounding on the edge"
-    row, column = turned.pixels(actual["range_fraction"], actual["azimuth_rad"])
-    np.testing.assert_allclose(row, np.broadcast_to(np.arange(size[0])[:, None], size), atol=1e-2)
-    np.testing.assert_allclose(column, np.broadcast_to(np.arange(size[1]), size), atol=1e-2)
 
 
 def test_beams_need_not_be_evenly_spaced() -> None:
