@@ -190,7 +190,7 @@ def config_line(error: Exception, name: str) -> str:
             if formation := formation_of(key):
                 return f"{key}: set acoustics={formation}, whose setting it is, or leave it out"
             return f"{key}: the chosen `{key.split('.')[0]}` has no such key (see `--cfg job`)"
-        from ...simulation.config.root import GONE_KEYS
+        from .root import GONE_KEYS
 
         if key in GONE_KEYS:
             return f"{key}: {GONE_KEYS[key]}"
