@@ -203,7 +203,7 @@ def test_somebodys_denoised_images_are_a_row(tmp_path: Path) -> None:
     assert "psnr" in rows_["mine"]["against_best"]
     np.save(arrays / "000002.npy", np.zeros((48, 40)))
     lost = builder.build(settings_for(dataset, pictures=folders[1:]))["rows"][-1]["lost"]
-    assert "test/noisy/000002: 40x48 pixels, but its pair has 48x48" in lost
+    assert "test/noisy/000002: 40x48 pixels, but what is judged has 48x48" in lost
     again = settings_for(dataset, pictures=[{"name": "median", "dir": str(mine)}])
     with pytest.raises(FactoryError, match="pictures: median"):
         builder.build(again)

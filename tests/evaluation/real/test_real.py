@@ -239,7 +239,12 @@ def test_a_shuffled_folder_is_judged_by_its_groups(tmp_path: Path) -> None:
 def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -> None:
     path = tmp_path / "dive.avi"
     recording(path, 3, 9)
-    content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8")
+    theirs = tmp_path / "theirs" / "dive"
+    theirs.mkdir(parents=True)
+    for number, image in enumerate(stored(3, 9)):
+        cv2.imwrite(str(theirs / f"{number:06d}.png"), cv2.GaussianBlur(image, (0, 0), 1.5))
+    pictures = f"pictures=[{{name: theirs, dir: {theirs.parent}}}]"
+    content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8", pictures)
     (actual,) = content["groups"]
     assert actual["frames"] == [f"dive.avi#{number}" for number in range(8)]
     assert actual["judged"] == actual["frames"][4:]
@@ -247,6 +252,7 @@ def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -
     rows = {row["label"]: row for row in content["rows"]}
     assert mean(rows["gaussian tuned on others"], "gain_db") > 3
     assert rows["noisy"]["metrics"]["psnr"]["low"] is None
+    assert mean(rows["theirs"], "gain_db") > 3
 
 
 def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
@@ -337,6 +343,7 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         ((str(tmp_path / "black"),), "0.png: black, or smaller than 16 pixels"),
         ((plain, "limit=3"), "limit: Input should be greater than or equal to 4"),
         ((plain, f"models=[{tmp_path / 'none'}]"), "models: "),
+        ((plain, "pictures=[{name: mine, dir: none}]"), "pictures: mine: none: 1 of 1"),
     ):
         assert main(["evaluate", "real", *words, f"out={tmp_path / 'out'}", "workers=1"]) == 2
         error = capsys.readouterr().err
