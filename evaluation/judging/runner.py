@@ -157,7 +157,7 @@ class Measured:
 
     def median_seconds(self, label: str) -> float:
         """Median time of a method for an image; the first one loads and compiles."""
-        return median(figures[SECONDS] for figures in self.figures[label].values())
+        return median(float(figures[SECONDS]) for figures in self.figures[label].values())
 
 
 def run(

@@ -130,7 +130,7 @@ def class_table(settings: TargetsSettings, outcome: DetectionOutcome) -> pd.Data
 
 
 def _table_rows(outcome: DetectionOutcome) -> list[dict[str, Any]]:
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"label": label, "parameters": [], "lost": None, "figures": figures}
         for label, figures in outcome.figures.items()
     ]
