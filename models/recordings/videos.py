@@ -36,7 +36,6 @@ _BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")  # of M
 _MATROSKA = b"\x1a\x45\xdf\xa3"
 _NEUTRAL = 128  # chroma of grey
 _SEEK_BEYOND = 32  # frames ahead up to which decoding them is quicker than seeking
-_MOST_RATE_HZ = 10_000
 _USUAL_RATE = Fraction(25)  # FFmpeg's, where a file says nothing of its rate
 
 
@@ -110,7 +109,7 @@ class VideoFile(Recording):
             codec = stream.codec_context
             ask_pixels(str(self.path), codec.width, codec.height)
             rate = stream.average_rate or stream.guessed_rate
-            is_rate = bool(rate) and 0 < rate < _MOST_RATE_HZ
+            is_rate = bool(rate) and rate > 0
             self.rate_hz = float(rate) if is_rate else None
             self._stated_s = self._duration_s(stream)
             stated = stream.frames or round((self._stated_s or 0) * (self.rate_hz or 0))

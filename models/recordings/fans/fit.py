@@ -23,8 +23,8 @@ _ALL_BUT_SQUEEZE = range(Outline._fields.index("log_squeeze"))
 _NEAR_THEN_FAR_ARC = Outline._fields.index("near_row"), Outline._fields.index("far_row")
 _MOVES = 21  # of each parameter, between its limits
 _EQUAL_COST = 1e-6
-INVALID_COST = 1e9
-"""Cost of an outline without a sector; any sector in an image of 2^26 pixels costs less."""
+INVALID_COST = math.inf
+"""Cost of an outline without a sector."""
 _MAX_FIT_COLUMNS = 400  # a fit takes every n-th column of wider images
 # Limits of the probabilities, so that no pixel of an image is impossible.
 _INSIDE_LIMITS = 0.05, 0.97
