@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .factory.common.array_types import Array, Float32s
+from .python_words import in_python_words
 
 if TYPE_CHECKING:
     from .factory.dataset.fan_geometry import FanGeometry
@@ -44,7 +45,7 @@ def denoise(
     geometry: Literal["find", "polar"] | FanGeometry | RecordedFrame | None = "find",
     opening_deg: float | None = None,
     strength: float = 1.0,
-    frames: int = 7,
+    frames: int = 15,
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
     return_removed: Literal[False] = False,
@@ -59,7 +60,7 @@ def denoise(
     geometry: Literal["find", "polar"] | FanGeometry | RecordedFrame | None = "find",
     opening_deg: float | None = None,
     strength: float = 1.0,
-    frames: int = 7,
+    frames: int = 15,
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
     return_removed: Literal[True],
@@ -73,7 +74,7 @@ def denoise(
     geometry: Literal["find", "polar"] | FanGeometry | RecordedFrame | None = "find",
     opening_deg: float | None = None,
     strength: float = 1.0,
-    frames: int = 7,
+    frames: int = 15,
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
     return_removed: bool = False,
@@ -116,10 +117,12 @@ def denoise(
     rows, columns = values.shape[:2] if is_single else values.shape[1:]
     known_geometry = _checked_geometry(geometry, opening_deg, (rows, columns), stacklevel=3)
     from .models.denoise.images import Denoising
-    from .models.recordings.fan_finder import find_geometry
+    from .models.recordings.fan_tracking import FanTracker
+
+    tracker = FanTracker()
 
     def place(image: Array) -> FanGeometry | None:
-        return find_geometry(image) if isinstance(known_geometry, str) else known_geometry
+        return tracker.geometry(image) if isinstance(known_geometry, str) else known_geometry
 
     known = values.astype(np.float32) if values.dtype.kind == "f" else values
     denoising = Denoising(network, frames=frames, causal=causal, strength=strength)
@@ -131,7 +134,9 @@ def denoise(
         return denoised_image
     result = np.empty(values.shape, values.dtype)
     removed = np.empty(values.shape if return_removed else 0, np.float32)
-    shots = (denoising.shot(number, image, place) for number, image in enumerate(known))
+    shots = (
+        denoising.shot(number, image, place, number=number) for number, image in enumerate(known)
+    )
     for denoised in denoising.sequence(shots, alone=len(values) < 2):
         result[denoised.key] = denoised.image
         if return_removed:
@@ -197,8 +202,9 @@ def _loaded_denoiser(
         raise ValueError(f"strength={strength}: expected 0 to 1")
     if not (1 <= frames <= _MOST_FRAMES and frames % 2):
         raise ValueError(f"frames={frames}: expected an odd number from 1 to {_MOST_FRAMES}")
-    path = find_weights(weights)
-    return _denoiser(path, path.stat().st_mtime_ns, device)
+    with in_python_words():
+        path = find_weights(weights)
+        return _denoiser(path, path.stat().st_mtime_ns, device)
 
 
 def _checked_geometry(
@@ -323,6 +329,11 @@ class RecordedFrame:
 
         return polar_geometry(self.frame.beams, len(self.frame.samples))
 
+    @property
+    def picture(self) -> Array:
+        """`image` by its name of version 0.4."""
+        return self.image
+
 
 class OpenRecording:
     """An opened recording: iterate, index or measure it; close it, or use it in `with`."""
@@ -332,7 +343,8 @@ class OpenRecording:
         from .models.recordings import open_recording as opened
 
         topics = (topic,) if isinstance(topic, str) else tuple(topic or ())
-        self._recording = opened(path, topics)
+        with in_python_words():
+            self._recording = opened(path, topics)
         self._trackers: dict[tuple[int, ...], FanTracker] = {}
 
     def __len__(self) -> int:
@@ -340,12 +352,14 @@ class OpenRecording:
 
     def __getitem__(self, number: int) -> RecordedFrame:
         """One frame, from 0.  Raises IndexError, and FrameError when it is damaged."""
-        return self._shown(self._recording[number])
+        with in_python_words():
+            return self._shown(self._recording[number])
 
     def __iter__(self) -> Iterator[RecordedFrame]:
         """All frames in order.  Raises FrameError at one that is damaged."""
-        for frame in self._recording:
-            yield self._shown(frame)
+        with in_python_words():
+            for frame in self._recording:
+                yield self._shown(frame)
 
     @property
     def warning(self) -> str:

@@ -33,6 +33,7 @@ from .models.recordings.base import SonarFrame as RecordingFrame
 from .models.recordings.extension_files import (
     RecordingEntry,
     RecordingReader,
+    check_recording_reader,
     register_recording,
 )
 
@@ -66,6 +67,7 @@ __all__ = [
     "Signal",
     "SonarPose",
     "Window",
+    "check_recording_reader",
     "checked",
     "discovery",
     "parameter",

@@ -55,7 +55,7 @@ class Denoiser:
         geometry: Literal["find", "polar"] | FanGeometry | None = "find",
         opening_deg: float | None = None,
         strength: float = 1.0,
-        frames: int = 7,
+        frames: int = 15,
         invert: bool = False,
         device: Literal["auto", "cpu", "gpu"] = "auto",
     ) -> None:
@@ -85,6 +85,8 @@ class Denoiser:
         self._is_open = True
         self._count = 0
         self._resized = 0
+        self._repeated = 0
+        self._unmatched = 0
         self._shape: tuple[int, ...] | None = None
 
     def __call__(
@@ -115,14 +117,14 @@ class Denoiser:
         self._resized += self._shape not in (None, shape)
         self._shape = shape
         (denoised,) = self._sequence.push(shot)
+        self._repeated += bool(denoised.facts.is_copy)
+        self._unmatched += 0 < denoised.facts.fused <= 1 and not denoised.facts.is_copy
         return denoised.image.astype(dtype, copy=False)
 
     @property
     def counts(self) -> StreamCounts:
         """What the stream has seen so far."""
-        tally = self._sequence.tally
-        repeated = int(tally["repeats"])
-        return StreamCounts(self._count, repeated, int(tally["alone"]), self._resized)
+        return StreamCounts(self._count, self._repeated, self._unmatched, self._resized)
 
     def close(self) -> None:
         """End the stream."""
@@ -145,8 +147,8 @@ class Denoiser:
             return frame
         return SonarFrame(self._count, _values_of(frame), time_s=time_s)
 
-    def _geometry_of(self, image: Array, sequence: str = "") -> FanGeometry | None:
-        """The geometry of an image whose frame does not state it.  sequence: see `SonarFrame`."""
+    def _geometry_of(self, image: Array, sequence: str, number: int) -> FanGeometry | None:
+        """The geometry of an image whose frame does not state it; see `SonarFrame`."""
         from .api import fitting_geometry
         from .models.recordings.fan_tracking import FanTracker
 
@@ -159,4 +161,4 @@ class Denoiser:
         self._trackers[key] = tracker
         if len(self._trackers) > _MOST_SIZES:
             self._trackers.popitem(last=False)
-        return tracker.geometry(image)
+        return tracker.geometry(image, number)

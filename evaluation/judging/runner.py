@@ -15,11 +15,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from ...factory.common.array_types import Array
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ..filters import checked, method_of
-from ..metrics.measure import Grey
+from ..metrics.measure import Figures, Grey
 from .methods import Method, network, reason
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Subject(ABC):
         """Run a method; whatever it raises costs the method its row."""
 
     @abstractmethod
-    def measure(self, image: Any) -> Mapping[str, Any]:
+    def measure(self, image: Array) -> Figures:
         """The figures of a denoised subject.  Raises FactoryError for a damaged one."""
 
 
@@ -93,7 +94,7 @@ class ImageSubject(Subject):
 class Denoised(NamedTuple):
     """What a method made of a subject, in 0..1, and its seconds; NaN where nobody took them."""
 
-    image: Any
+    image: Array
     seconds: float = math.nan
 
 
@@ -113,7 +114,7 @@ class JudgingTask:
 class MethodResult(NamedTuple):
     """What a method gave: figures and images by number of the image."""
 
-    figures: dict[int, dict[str, Any]]
+    figures: dict[int, Figures]
     images: dict[int, Grey]
 
 
@@ -125,7 +126,7 @@ class Measured:
     absent.  lost: label -> why there are none at all.  images: (label, number) -> what was kept.
     """
 
-    figures: dict[str, dict[int, dict[str, Any]]] = field(default_factory=dict)
+    figures: dict[str, dict[int, Figures]] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     images: dict[tuple[str, int], Grey] = field(default_factory=dict)
 
@@ -157,7 +158,7 @@ class Measured:
 
     def median_seconds(self, label: str) -> float:
         """Median time of a method for an image; the first one loads and compiles."""
-        return median(float(figures[SECONDS]) for figures in self.figures[label].values())
+        return median(figures[SECONDS] for figures in self.figures[label].values())
 
 
 def run(

@@ -15,7 +15,7 @@ import numpy as np
 from ...factory.common.array_types import Bools, Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
-from ..denoise.temporal.like_frames import LikeFrames
+from ..denoise.temporal.likeness import LikeFrames
 from ..recordings import Recording, SonarFrame, open_recording
 from ..recordings.device_settings import RecordedSettings, settings_in_name, settings_of
 from ..recordings.images import ImageFiles

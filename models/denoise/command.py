@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from functools import cache, partial
@@ -21,14 +22,23 @@ from ..recordings.inputs import (
     said_of_sequences,
     sequences,
 )
+from .blocks import FOLDER as UNFINISHED
 from .comparison_video import comparison_video
 from .denoiser import Denoiser
 from .files import denoise_files
-from .images import Denoising, LevelRange
+from .images import LevelRange
 from .job import DenoisingJob
 from .journal import opened_journal
 from .options import SHEETS
-from .reports import TABLE, line_of, write_table
+from .reports import (
+    FRAME_COLUMNS,
+    TABLE,
+    line_of,
+    said_of_maps,
+    write_rows,
+    write_table,
+)
+from .sequences import Means, RunOptions
 
 _MOST_LINES = 20  # of files; the table has them all
 
@@ -47,14 +57,19 @@ def run(options: argparse.Namespace) -> int:
 
     load = cache(partial(Denoiser, device=options.device))
     denoise = load(options.weights)
-    denoising = Denoising(
-        denoise,
+    chosen = RunOptions(
+        weights=options.weights,
+        device=options.device,
         frames=options.frames,
         causal=options.causal,
         strength=options.strength,
         inverts=options.invert,
-        level_range=LevelRange(*options.levels) if options.levels else None,
+        levels=LevelRange(*options.levels) if options.levels else None,
+        geometry=options.geometry,
+        opening_deg=options.opening,
+        topics=tuple(options.topic),
     )
+    means = Means(chosen.denoising(denoise), geometries)
     with (
         opened_journal(out, _command(options, denoise)) as journal,
         comparison_video(video) as job_video,
@@ -63,21 +78,25 @@ def run(options: argparse.Namespace) -> int:
         is_anew = options.again or video is not None
         if is_anew:
             journal.begin_anew()
+            shutil.rmtree(out / UNFINISHED, ignore_errors=True)
         job = DenoisingJob(
             out=out,
+            options=chosen,
             denoise=denoise,
             points=partial(load, options.weights or POINTS),
-            denoising=denoising,
-            geometries=geometries,
+            means=means,
             journal=journal,
+            workers=options.workers,
             compare=with_sheets,
-            topics=options.topic,
             video=job_video,
         )
         if options.frames > 1:
             for line in said_of_sequences(items):
                 print(line)
         _denoise_all(items, job)
+        if options.table:
+            table = Path(options.table).expanduser()
+            write_rows(table, FRAME_COLUMNS, job.frame_rows, key="--table")
 
     for line in _summary(job, options):
         print(line)
@@ -111,8 +130,13 @@ def _command(options: argparse.Namespace, denoise: Denoiser) -> dict[str, object
 def _summary(job: DenoisingJob, options: argparse.Namespace) -> Iterator[str]:
     """What a run found and did, line by line."""
     yield from _lines_of_files(job)
-    yield from job.geometries.summary()
-    yield from job.denoising.summary()
+    yield from job.means.geometries.summary()
+    for name, found, count in job.fans:
+        if note := job.means.geometries.note(name, found, count):
+            yield note
+    yield from said_of_maps(job.maps)
+    yield from job.in_time.summary(job.window)
+    yield from job.notes
     yield from job.removed.summary()
     if options.strength > 0:
         yield from job.unchanged.summary()
@@ -127,7 +151,7 @@ def _summary(job: DenoisingJob, options: argparse.Namespace) -> Iterator[str]:
 def _lines_of_files(job: DenoisingJob) -> Iterator[str]:
     """A line for each recording, and for each sequence of images."""
     for row in job.rows[:_MOST_LINES]:
-        yield line_of(row, job.denoising.frames)
+        yield line_of(row, job.window)
     if len(job.rows) > _MOST_LINES:
         yield f"{len(job.rows) - _MOST_LINES} more files: see {TABLE}"
 
@@ -144,7 +168,7 @@ def _check_video(video: Path | None, items: Sequence[InputFile], out: Path) -> N
 def _denoise_all(items: Sequence[InputFile], job: DenoisingJob) -> None:
     """Denoise all files under a progress bar.  FactoryError when none could be."""
     runs = sequences(items)
-    job.journal.begin(runs, in_time=job.denoising.frames > 1)
+    job.journal.begin(runs, in_time=job.window > 1)
     finished = sum(item in job.journal for item in items)
     if finished:
         print(

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ...factory.common.array_types import Array
-from ...factory.common.errors import FactoryError, FrameError
+from ...factory.common.errors import FrameError
 from ...factory.common.files import write_atomically
-from ..recordings import Recording, SonarFrame, open_recording
+from ..recordings import Recording
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX
-from ..recordings.device_settings import settings_in_name
-from ..recordings.images import read_image
 from ..recordings.inputs import InputFile
 from ..recordings.portable_maps import white_of_file
-from .images import Denoised, FrameShots, OutOfRange
+from .blocks import BlockStore
+from .images import levels_of, without_alpha
 from .job import DenoisingJob
-from .reports import FileReport, fusion_columns
+from .removed import Removed
+from .reports import FileReport, Kinds, frame_row
 from .results import ResultFrame, view_of, write_result
+from .sequences import (
+    BlockwiseSequence,
+    FinishedFrame,
+    ImageSequence,
+    RecordedFile,
+    denoised_part,
+    named,
+)
 from .shards import denoise_shards
-from .temporal.stream import SequenceFrame
 from .video_writer import TimedImage
 from .writers import COMPARED, Compared, write_compared, write_frames, write_image
 
@@ -38,97 +44,101 @@ def denoise_files(items: Sequence[InputFile], job: DenoisingJob) -> None:
     if all(item in job.journal for item in items):
         return
     if items[0].kind == "images":
-        _denoise_images(items, job)
+        _ImageRun(items, job).write()
     elif items[0].kind == "shard":
         denoise_shards(items, job)
     else:
         try:
             _denoise_recording(items[0], job)
         except FrameError as error:
-            job.failures.append(_named(items[0], error))
+            job.failures.append(named(items[0], error))
 
 
-def _named(item: InputFile, error: Exception) -> str:
-    """What is wrong with a file, beginning with its name."""
-    text = str(error)
-    return text if text.startswith(str(item.source)) else f"{item.source}: {text}"
-
-
-def _denoise_images(items: Sequence[InputFile], job: DenoisingJob) -> None:
-    """Denoise image files, one after the other; see `_Images`."""
-    images = _Images(items, job)
-    for item in items:
-        images.push(item)
-    images.finish()
-
-
-class _Images:
-    """Image files that are being denoised, in the order of a sequence."""
+class _ImageRun:
+    """Image files of one sequence: each is written as soon as it is denoised."""
 
     def __init__(self, items: Sequence[InputFile], job: DenoisingJob) -> None:
         self._items = items
         self._job = job
-        # Finished files, too: what a stream learns from them is part of the bytes of the others.
-        self._finished = {item for item in items if item in job.journal}
-        self._sequence = job.denoising.open_sequence(alone=len(items) < 2)
+        self._source = ImageSequence(items)
+        self._finished = {number for number, item in enumerate(items) if item in job.journal}
         self._is_single = len(items) == 1
-        self._total = FileReport(f"{items[0].relative} to {items[-1].relative.name}")
+        names = f"{items[0].relative} to {items[-1].relative.name}"
+        self._total = FileReport(names)
+        self._kinds = Kinds()
 
-    def push(self, item: InputFile) -> None:
-        """Read the next file; write those that are denoised by now."""
-        try:
-            image = read_image(item.source)
-            place = partial(self._job.geometries.of, item)
-            wanted = item not in self._finished
-            settings = settings_in_name(item.source.name)
-            shot = self._job.denoising.shot(
-                (item, image), image, place, wanted=wanted, settings=settings
+    def write(self) -> None:
+        """Denoise the files that are not finished."""
+        job = self._job
+        store = BlockStore.of(job.out, f"images {self._items[0].relative}", self._key())
+        is_shared = job.workers > 1 and job.window > 1 and len(self._items) > job.workers
+        if is_shared:
+            blocks = BlockwiseSequence(
+                *(self._source, store, job.means, job.options),
+                workers=job.workers,
+                progress=lambda: None,
             )
-        except (FactoryError, ValueError) as error:
-            self._job.failures.append(_named(item, error))
-            return
-        self._write(self._sequence.push(shot))
-
-    def finish(self) -> None:
-        """Write the files that are left."""
-        self._write(self._sequence.finish())
-        for item in self._items:
-            self._job.journal.amend(item, fusion_columns(self._sequence))
+            frames = blocks.frames(self._source.frames(0), len(self._items))
+        else:
+            frames = denoised_part(self._source, job.means, 0, None, self._finished)
+        for finished in frames:
+            if finished.frame.number not in self._finished:
+                self._keep(finished)
+        store.remove()
+        job.failures += [self._source.failures[number] for number in sorted(self._source.failures)]
+        job.notes += self._kinds.summary()
         if not self._is_single and self._total.frames:
-            self._job.rows.append(self._total.row(self._job.denoise.name, self._sequence))
+            job.rows.append(self._total.row(job.denoise.name))
 
-    def _write(self, results: Iterable[Denoised]) -> None:
-        for denoised in results:
-            item, image = denoised.key
-            if item in self._finished:
-                continue
-            self._job.bar.update()
-            report = FileReport(str(item.relative))
-            report.add("", image, denoised)
-            try:
-                _write_results(item, image, denoised, self._job)
-            except FrameError as error:
-                self._job.failures.append(_named(item, error))
-                continue
-            self._job.done(item, report, self._job.denoise.name, is_listed=self._is_single)
-            self._total.merge(report, item.relative.name)
+    def _key(self) -> str:
+        return self._job.journal.key(self._items[0])
+
+    def _keep(self, finished: FinishedFrame) -> None:
+        job = self._job
+        frame, image, record = finished
+        item = self._items[frame.number]
+        job.bar.update()
+        report = FileReport(str(item.relative))
+        report.add("", record)
+        try:
+            _write_image_results(item, frame.samples, image, job)
+        except FrameError as error:
+            job.failures.append(named(item, error))
+            return
+        job.fans.add(item.source.parent, item.source, bool(record.facts.has_fan))
+        job.done(item, report, job.denoise.name, is_listed=self._is_single)
+        self._total.merge(report, item.relative.name)
+        if record.facts.fused:
+            previous = int(record.facts.previous)
+            self._kinds.add(frame.number, previous, self._source.settings(frame))
+        job.frame_rows.append(frame_row(str(item.relative), 0, None, record.facts))
 
 
-def _write_results(item: InputFile, image: Array, denoised: Denoised, job: DenoisingJob) -> None:
+def _write_image_results(item: InputFile, image: Array, denoised: Array, job: DenoisingJob) -> None:
     """Write a denoised image in the form of its file, and what compares it with the noisy one."""
     path = job.out / item.relative
     if item.source.suffix.lower() == ARRAY_SUFFIX:
         with ArrayFile(item.source) as array:
-            write_frames(path, [TimedImage(denoised.image)], array)
-    elif item.source.suffix.lower() in _LOSSY and np.array_equal(image, denoised.image):
+            write_frames(path, [TimedImage(denoised)], array)
+    elif item.source.suffix.lower() in _LOSSY and np.array_equal(image, denoised):
         write_atomically(path, item.source.read_bytes(), key="--out")
     else:
-        write_image(path, denoised.image, largest=white_of_file(item.source))
+        write_image(path, denoised, largest=white_of_file(item.source))
     if job.video is not None:
-        job.video.add(image, denoised.image)
+        job.video.add(image, denoised)
     if job.compare:
-        row = Compared(image, denoised.image, denoised.removed.shown())
+        row = Compared(image, denoised, _removed(image, denoised, job).shown())
         write_compared(job.out / item.compared, [row])
+
+
+def _removed(image: Array, denoised: Array, job: DenoisingJob) -> Removed:
+    """What was removed from an image, as both are stored."""
+    levels = job.options.levels
+    noisy, clean = (
+        levels_of(without_alpha(each if levels is None else levels.scaled(each)))
+        for each in (image, denoised)
+    )
+    return Removed(noisy, clean)
 
 
 def _denoise_recording(item: InputFile, job: DenoisingJob) -> None:
@@ -141,80 +151,72 @@ def _denoise_recording(item: InputFile, job: DenoisingJob) -> None:
     path = job.out / item.relative
     if item.kind == "rosbag" and path.is_dir():
         raise FrameError(f"{path}: exists already; remove it, or give another --out")
-    with _opened(item, job.topics) as recording:
-        _RecordingRun(item, recording, job).write(path)
+    source = RecordedFile(item, tuple(job.options.topics))
+    with source.open() as recording:
+        _RecordingRun(source, recording, job).write(path)
 
 
 class _RecordingRun:
-    """A recording that is being denoised: its frames are read, denoised and written in one pass."""
+    """A recording that is being denoised: its frames are denoised in blocks, then written."""
 
-    def __init__(self, item: InputFile, recording: Recording, job: DenoisingJob) -> None:
-        self._item = item
+    def __init__(self, source: RecordedFile, recording: Recording, job: DenoisingJob) -> None:
+        self._source = source
+        self._item = source.item
         self._recording = recording
         self._job = job
-        self._sequence = job.denoising.open_sequence()
-        self._shot_of = FrameShots(job.denoising, partial(job.geometries.of, item))
-        self._report = FileReport(str(item.relative))
+        self._report = FileReport(str(self._item.relative))
+        self._kinds = Kinds()
         self._shown: list[Compared] = []
 
     def write(self, path: Path) -> None:
         """Denoise all frames into the result at `path`, and report it."""
-        bar = self._job.bar
-        bar.uncounted -= 1
-        bar.total += self._recording.count
-        bar_end = bar.n + self._recording.count
+        job = self._job
+        job.bar.uncounted -= 1
+        job.bar.total += self._recording.count
+        bar_end = job.bar.n + self._recording.count
+        store = BlockStore.of(job.out, str(self._item.relative), job.journal.key(self._item))
+        blocks = BlockwiseSequence(
+            *(self._source, store, job.means, job.options),
+            workers=job.workers,
+            progress=job.bar.update,
+        )
+        finished = blocks.frames(self._recording, self._recording.count)
         try:
-            result = write_result(self._recording, self._item.kind, path, self._denoised_frames())
-        finally:
-            self._sequence.close()
+            frames = self._reported(finished)
+            result = write_result(self._recording, self._item.kind, path, frames)
+        except FrameError:
+            store.remove()
+            raise
+        store.remove()
         # The number of frames that a file states is often wrong.
-        bar.total += bar.n - bar_end
+        job.bar.total += job.bar.n - bar_end
         if self._shown:
-            write_compared(self._job.out / self._item.compared, self._shown)
+            write_compared(job.out / self._item.compared, self._shown)
+        job.notes += self._kinds.summary()
         for warning in filter(None, (result.note, self._recording.warning)):
             # Most begin with the path of the file.
             text = warning.removeprefix(f"{self._item.source}: ").removeprefix(f"{path}: ")
-            self._job.warn(self._item, self._report, text)
-        self._job.done(
-            self._item,
-            self._report,
-            self._job.denoise.name,
-            sequence=self._sequence,
-            of_points=False,
-            result=result.path,
-        )
+            job.warn(self._item, self._report, text)
+        name = job.denoise.name
+        job.done(self._item, self._report, name, of_points=False, result=result.path)
 
-    def _denoised_frames(self) -> Iterator[ResultFrame]:
-        """The frames of the recording with what became of their samples, in order."""
-        for frame in self._recording:
-            yield from self._kept(self._sequence.push(self._shot(frame)))
-        yield from self._kept(self._sequence.finish())
-
-    def _shot(self, frame: SonarFrame) -> SequenceFrame:
-        try:
-            return self._shot_of(frame)
-        except OutOfRange as error:
-            named = f"{self._item.source}: frame {frame.number}: {error}"
-            raise FrameError(f"{named}; or state black and white by --levels") from error
-        except ValueError as error:
-            raise FrameError(f"{self._item.source}: frame {frame.number}: {error}") from error
-
-    def _kept(self, results: Iterable[Denoised]) -> Iterator[ResultFrame]:
-        for denoised in results:
-            frame = denoised.key
-            self._report.add(f"frame {frame.number}", frame.samples, denoised)
-            if self._job.compare and frame.number < COMPARED:
-                panels = frame.samples, denoised.image, denoised.removed.shown()
+    def _reported(self, finished: Iterator[FinishedFrame]) -> Iterator[ResultFrame]:
+        """The frames on their way to the result."""
+        job = self._job
+        for frame, image, record in finished:
+            self._report.add(f"frame {frame.number}", record)
+            if record.facts.fused:
+                previous = int(record.facts.previous)
+                self._kinds.add(frame.number, previous, self._source.settings(frame))
+            row = frame_row(self._report.name, frame.number, frame.time_s, record.facts)
+            job.frame_rows.append(row)
+            if job.compare and frame.number < COMPARED:
+                removed = _removed(frame.samples, image, job).shown()
+                panels = frame.samples, image, removed
                 self._shown.append(Compared(*(view_of(frame, panel) for panel in panels)))
-            if self._job.video is not None:
+            if job.video is not None:
                 noisy = view_of(frame, frame.samples)
-                self._job.video.add(noisy, view_of(frame, denoised.image), frame.time_s)
-            self._job.bar.update()
-            yield ResultFrame(frame, denoised.image)
-
-
-def _opened(item: InputFile, topics: Sequence[str]) -> Recording:
-    try:
-        return open_recording(item.source, topics)
-    except FactoryError as error:
-        raise FrameError(str(error)) from error
+                job.video.add(noisy, view_of(frame, image), frame.time_s)
+            if frame.beams is None and frame.geometry is None:
+                job.fans.add(self._item.source, self._item.source, bool(record.facts.has_fan))
+            yield ResultFrame(frame, image)

@@ -6,10 +6,9 @@ The command, `simnfnd.denoise` and evaluation denoise by it, an image or a seque
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,13 +20,18 @@ from ...factory.common.workers.machine import usable_cores
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings.base import FULL_SCALE, SonarFrame, colours_of, range_problem, white_of
 from ..recordings.device_settings import RecordedSettings, settings_of
-from ..recordings.palettes import SUM, Painted, Palette, find_painted
+from ..recordings.palettes import Painted, Palette, find_painted
 from ..recordings.views import polar_geometry
 from .options import FRAMES
 from .removed import Removed
-from .temporal.interleaved import Interleaved
-from .temporal.stream import MOST_FRAMES, InTime, Network, SequenceFrame
-from .temporal.strength import Strength
+from .temporal.stream import (
+    MOST_FRAMES,
+    FrameFacts,
+    InTime,
+    Network,
+    SequenceFrame,
+    StreamResult,
+)
 
 Place = Callable[[Array], FanGeometry | None]
 """Where range and bearing are in an image; None where that is not known."""
@@ -38,12 +42,15 @@ class Denoised:
     """A denoised image.
 
     key: the name that the caller gave the image.  image: of the same shape and dtype as stored.
-    removed: what denoising took away.
+    removed: what denoising took away.  facts: what was done to it.  colour_map: name of its colour
+    map, empty for none.
     """
 
     key: Any
     image: Array
     removed: Removed
+    facts: FrameFacts = field(default_factory=FrameFacts)
+    colour_map: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +72,10 @@ class _Source:
     white: float | None
     level_range: LevelRange | None = None
 
-    def result(self, levels: Float32s) -> Denoised:
+    def result(self, levels: Float32s, facts: FrameFacts) -> Denoised:
         """The denoised image of denoised levels, (H, W) or (H, W, C)."""
-        denoised = self._result(levels)
+        name = "" if self.painted is None else self.painted.palette.name
+        denoised = replace(self._result(levels), facts=facts, colour_map=name)
         if self.level_range is None or self.strength == 0:
             return denoised
         return replace(denoised, image=self.level_range.restored(denoised.image, self.image))
@@ -84,15 +92,17 @@ class _Source:
         return Denoised(self.key, inverted(image, self.white), Removed(1 - self.levels, 1 - levels))
 
 
+_MAP_RUN = 64
+"""Images of a run; a colour map found in one is looked for first in those after it."""
+
+
 class Denoising:
-    """What a run does to images, and what it did.
+    """How a run denoises images.
 
     network, frames, causal, keeps_outside: see `InTime`.
     strength: part of the whole change, of fusion and network, that an image gets, 0 to 1.
     inverts: whether images show dark echoes on a bright ground.
     level_range: what is black and white in float images; None: 0 and 1.
-    maps: colour map -> how many images had it.  tally: see `InTime`, of all finished sequences.
-    notes: lines on what was found in these.
     """
 
     def __init__(
@@ -113,20 +123,18 @@ class Denoising:
                 "before it as after it"
             )
         self.frames = frames
-        self.tally = defaultdict[str, float](float)
         self.network = network
         self._in_time = partial(
             InTime,
             causal=causal,
             keeps_outside=keeps_outside,
         )
-        self.notes: list[str] = []
-        self._is_causal = causal
         self._strength = np.float32(strength)
         self._inverts = inverts
         self._level_range = level_range
-        self.maps: Counter[str] = Counter()
-        self.last_map: Palette | None = None
+        self._next = 0
+        self._map_run = -1
+        self._map: Palette | None = None
 
     def of_simulated(self, network: Network) -> Denoising:
         """The run with the network for simulated images, which have noise around their fan."""
@@ -142,14 +150,15 @@ class Denoising:
         place: Place,
         shift_px: tuple[float, float] | None = None,
         *,
+        number: int | None = None,
         wanted: bool = True,
-        is_tracked: bool = False,
         settings: RecordedSettings | None = None,
     ) -> SequenceFrame:
         """An image of a sequence, its colours read.
 
         image: (H, W) or (H, W, C) uint8, uint16 or float32 in 0..1.
-        place, shift_px, wanted, is_tracked, settings: see `SequenceFrame`.
+        shift_px, number, wanted, settings: see `SequenceFrame`.
+        place: finds the geometry of the image; called for each image, in order.
         Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
         """
         stored = image
@@ -159,20 +168,21 @@ class Denoising:
         white = white_of(image) if self._inverts else None
         shown = image if white is None else inverted(image, white)
         plain = without_alpha(shown)
-        painted = find_painted(shown, self.last_map)
+        number = self._next if number is None else number
+        self._next = number + 1
+        if number // _MAP_RUN != self._map_run:
+            self._map_run = number // _MAP_RUN
+            self._map = None
+        painted = find_painted(shown, self._map)
         if painted is not None:
             plain = painted.levels
-            self.last_map = painted.palette
-            self.maps[painted.palette.name] += 1
-        fan = LazyFan(plain, place)
-        if is_tracked:
-            fan()  # in the order of the frames
+            self._map = self._map or painted.palette
         levels = levels_of(plain)
         source = _Source(
             key, stored, self._strength, shown, levels, painted, white, self._level_range
         )
         stated = RecordedSettings() if settings is None else settings
-        return SequenceFrame(source, levels, fan, shift_px, wanted, is_tracked, stated)
+        return SequenceFrame(source, levels, place(plain), shift_px, number, wanted, stated)
 
     def sequence(
         self, shots: Iterable[SequenceFrame], *, alone: bool = False
@@ -185,94 +195,28 @@ class Denoising:
     ) -> SequenceDenoising:
         """A sequence of images, to be denoised in order.
 
-        Frames of unlike settings are denoised apart, see `Interleaved`.
         Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
-        Copies of the image before, as a video holds of a slower sonar, are fused once.
         alone: whether each is denoised alone.  at_once: see `InTime`; by default a core each.
         """
         # The first image is looked at anew, so that a sequence depends on none before it.
-        self.last_map = None
+        self._next = 0
+        self._map_run = -1
         if alone:
-            return self._opened(1, at_once or 1)
-        return self._opened(self.frames, at_once or usable_cores())
+            return SequenceDenoising(self._in_time(self.network, frames=1, at_once=at_once or 1))
+        cores = at_once or usable_cores()
+        return SequenceDenoising(self._in_time(self.network, frames=self.frames, at_once=cores))
 
     def denoise_image(self, image: Array, place: Place) -> Denoised:
         """Denoise one image alone.  Raises ValueError as `shot` does."""
-        (denoised,) = self._opened(1, 1).run([self.shot(None, image, place)])
+        (denoised,) = self.sequence([self.shot(None, image, place)], alone=True)
         return denoised
-
-    def _opened(self, frames: int, at_once: int) -> SequenceDenoising:
-        tally = defaultdict[str, float](float)
-        new_stream = partial(self._in_time, self.network, frames=frames, at_once=at_once)
-        if frames == 1:
-            return SequenceDenoising(self, new_stream(tally=tally), tally)
-        stream = Interleaved(new_stream, tally, looks_ahead=not self._is_causal)
-        return SequenceDenoising(self, stream, tally)
-
-    def summary(self) -> Iterator[str]:
-        """A line if colours stood for levels, and lines of what was done in time."""
-        if self.maps:
-            named = ", ".join(f"{name} in {count}" for name, count in self.maps.items())
-            yield (
-                f"colour maps: {named}; their levels were denoised and painted again "
-                f"({SUM}: a map that is not known, by the sum of its channels)"
-            )
-        if images := self.tally["images"]:
-            yield (
-                f"in time: {self.tally['frames'] / images:.1f} of up to {self.frames} frames "
-                f"fused in a pixel, {100 * self.tally['moved'] / images:.1f} % of pixels moved, "
-                f"{self.tally['alone']:.0f} of {images:.0f} frames matched no neighbour"
-            )
-        if repeats := self.tally["repeats"]:
-            yield (
-                f"repeated frames: {repeats:.0f} of {images + repeats:.0f} are copies of the one "
-                "before and were fused once"
-            )
-        yield from self.notes
-
-
-class LazyFan:
-    """Finds the geometry of an image when it is first asked for."""
-
-    def __init__(self, image: Array, find: Place) -> None:
-        self._image: Array | None = image
-        self._find = find
-        self._geometry: FanGeometry | None = None
-
-    def __call__(self) -> FanGeometry | None:
-        """The geometry; None where it is not known."""
-        if self._image is not None:
-            self._geometry = self._find(self._image)
-            self._image = None
-        return self._geometry
 
 
 class SequenceDenoising:
-    """A sequence of images that is being denoised: shots in, denoised images out, in order.
+    """A sequence of images that is being denoised: shots in, denoised images out, in order."""
 
-    tally: see `InTime`.
-    """
-
-    def __init__(
-        self,
-        denoising: Denoising,
-        stream: InTime | Interleaved,
-        tally: dict[str, float],
-    ) -> None:
-        self._denoising = denoising
+    def __init__(self, stream: InTime) -> None:
         self._stream = stream
-        self._maps_before = Counter(denoising.maps)
-        self.tally = tally
-
-    @property
-    def strength(self) -> Strength:
-        """The weights of the predictors, as fitted so far."""
-        return self._stream.strength
-
-    @property
-    def maps(self) -> Counter[str]:
-        """Colour map -> how many images of the sequence had it."""
-        return self._denoising.maps - self._maps_before
 
     def run(self, shots: Iterable[SequenceFrame]) -> Iterator[Denoised]:
         """Denoise a whole sequence."""
@@ -282,53 +226,56 @@ class SequenceDenoising:
 
     def push(self, shot: SequenceFrame) -> Iterator[Denoised]:
         """Take the next image; yields those that are denoised by now."""
-        yield from _results(self._stream.push(shot))
+        yield from map(_denoised, self._stream.push(shot))
 
     def finish(self) -> Iterator[Denoised]:
         """Yield the images that are left; the sequence has ended."""
-        yield from _results(self._stream.finish())
-        for name, count in self.tally.items():
-            self._denoising.tally[name] += count
-        if isinstance(self._stream, Interleaved):
-            self._denoising.notes += self._stream.summary()
+        yield from map(_denoised, self._stream.finish())
 
     def close(self) -> None:
         """End the threads of a sequence that is not finished."""
         self._stream.close()
 
 
-class FrameShots:
-    """Turns the frames of a recording into shots, in order.
+def _denoised(result: StreamResult) -> Denoised:
+    source: _Source = result.key
+    return source.result(result.levels, result.facts)
 
-    previous: the last frame of each sequence, see `SonarFrame`.
-    """
+
+class FrameShots:
+    """Turns the frames of a recording into shots, in order."""
 
     def __init__(
-        self, denoising: Denoising, find_geometry: Callable[[Array, str], FanGeometry | None]
+        self,
+        denoising: Denoising,
+        find_geometry: Callable[[Array, str, int], FanGeometry | None],
+        settings: Callable[[SonarFrame], RecordedSettings] = settings_of,
     ) -> None:
-        """find_geometry: of an image, given its `SonarFrame.sequence`; called in order."""
+        """find_geometry: of an image, given `sequence` and `number` of its frame; in order."""
         self._denoising = denoising
         self._find_geometry = find_geometry
-        self.previous: dict[str, SonarFrame] = {}
+        self._settings = settings
+        self._previous: dict[str, SonarFrame] = {}
 
-    def __call__(self, frame: SonarFrame) -> SequenceFrame:
+    def __call__(self, frame: SonarFrame, *, wanted: bool = True) -> SequenceFrame:
         """Make the shot of the next frame.  Raises ValueError as `Denoising.shot` does."""
-        shift_px = _turned_px(frame, self.previous.get(frame.sequence))
+        shift_px = _turned_px(frame, self._previous.get(frame.sequence))
         shot = self._denoising.shot(
             frame,
             frame.samples,
             partial(self._geometry, frame),
             shift_px,
-            is_tracked=True,
-            settings=settings_of(frame),
+            number=frame.number,
+            wanted=wanted,
+            settings=self._settings(frame),
         )
-        self.previous[frame.sequence] = frame
+        self._previous[frame.sequence] = frame
         return shot
 
     def _geometry(self, frame: SonarFrame, image: Array) -> FanGeometry | None:
         if frame.beams is not None:
             return polar_geometry(frame.beams, len(image))
-        return frame.geometry or self._find_geometry(image, frame.sequence)
+        return frame.geometry or self._find_geometry(image, frame.sequence, frame.number)
 
 
 def _turned_px(frame: SonarFrame, previous: SonarFrame | None) -> tuple[float, float] | None:
@@ -341,12 +288,6 @@ def _turned_px(frame: SonarFrame, previous: SonarFrame | None) -> tuple[float, f
     turned_deg = (heading_deg - previous_deg + 180) % 360 - 180
     spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
     return -math.radians(turned_deg) / spacing, 0.0
-
-
-def _results(denoised: Iterable[tuple[Any, Float32s]]) -> Iterator[Denoised]:
-    source: _Source
-    for source, levels in denoised:
-        yield source.result(levels)
 
 
 class OutOfRange(ValueError):

@@ -78,6 +78,12 @@ def _rank_correlation(first: Array, second: Array) -> float:
     return float(np.corrcoef(first_ranks, second_ranks)[0, 1])
 
 
+def looks_inverted(image: Array, levels: Array) -> bool:
+    """Whether an image, as it is stored, looks inverted.  levels: its grey values, in 0..1."""
+    white = white_of(image) / FULL_SCALE[str(image.dtype)]
+    return bool(has_inverted_scale(grey_of(levels) / np.float32(white)))
+
+
 class InvertedReport:
     """Counts the images of each file, and those that look inverted."""
 
@@ -85,11 +91,10 @@ class InvertedReport:
         self._images: Counter[str] = Counter()
         self._inverted: Counter[str] = Counter()
 
-    def add(self, name: str, image: Array, levels: Array) -> None:
-        """An image as it is stored.  name: of its file.  levels: its grey values, in 0..1."""
-        white = white_of(image) / FULL_SCALE[str(image.dtype)]
+    def add(self, name: str, *, inverted: bool) -> None:
+        """An image.  name: of its file."""
         self._images[name] += 1
-        self._inverted[name] += has_inverted_scale(grey_of(levels) / np.float32(white))
+        self._inverted[name] += inverted
 
     def merge(self, other: InvertedReport) -> None:
         """Add what another report counted."""

@@ -13,7 +13,7 @@ from ..pretrained import POINTS
 
 SHEETS = "sheets"
 """Value of `--compare` for a sheet an image."""
-FRAMES = 7
+FRAMES = 15
 """Frames of a recording that are fused, where `--frames` is not given."""
 _VIDEO_SUFFIX = ".mp4"  # of a comparison video
 _WHICH = f"""\
@@ -86,6 +86,10 @@ def options_of(arguments: Sequence[str]) -> argparse.Namespace:
         "values of black and white in float pings and images, such as -60 0 (default: 0 1)"
     )
     add("--levels", type=float, nargs=2, metavar=("BLACK", "WHITE"), help=levels_help)
+    table_help = "also write a CSV row for each frame: its motion, and how much was fused"
+    add("--table", metavar="FILE.csv", help=table_help)
+    workers_help = "processes that denoise a recording side by side (1; any number: same bytes)"
+    add("--workers", type=int, default=1, metavar="N", help=workers_help)
     add("--again", action="store_true", help="denoise all files, finished ones too")
     topics_help = "topic of a bag to denoise (may be repeated; default: those of sonars)"
     add("--topic", action="append", default=[], metavar="NAME", help=topics_help)
@@ -113,6 +117,8 @@ def options_of(arguments: Sequence[str]) -> argparse.Namespace:
         raise FactoryError("IN: nothing to denoise; give images, recordings or folders first")
     if not 0 <= options.strength <= 1:
         raise FactoryError(f"--strength {options.strength:g}: must lie between 0 and 1")
+    if options.workers < 1:
+        raise FactoryError(f"--workers {options.workers}: must be 1 or more")
     if options.levels and not options.levels[0] < options.levels[1]:
         black, white = options.levels
         raise FactoryError(f"--levels {black:g} {white:g}: black must be less than white")

@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -49,8 +50,7 @@ ln(number of images).  Measured on real recordings (docs/how-to/recordings.md): 
 time as the denoised frame, 58 frames of grain reach 6.6."""
 
 
-@dataclass(frozen=True)
-class Structure:
+class Structure(NamedTuple):
     """The most suspicious spot of one removed signal, and how much there is beyond grain.
 
     row, column: of the spot, pixels.  deviation: of the smoothed signal there, in units of its
@@ -168,9 +168,8 @@ class RemovedReport:
         self._deviations: list[float] = []
         self._worst: tuple[str, Structure] | None = None
 
-    def add(self, place: str, removed: Removed) -> None:
+    def add(self, place: str, structure: Structure | None) -> None:
         """Add an image.  place: its name: its file, and in a recording the frame."""
-        structure = removed.structure
         if structure is None:
             return
         self._deviations.append(abs(structure.deviation))

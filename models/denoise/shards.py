@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from itertools import starmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,7 +20,8 @@ from ...factory.dataset.fan_geometry import FanGeometry, recorded_sonar
 from ..recordings.inputs import InputFile
 from .images import Denoised
 from .job import DenoisingJob
-from .reports import FileReport
+from .records import FrameRecord
+from .reports import FileReport, frame_row
 from .temporal.stream import SequenceFrame
 from .writers import COMPARED, Compared, write_compared
 
@@ -191,19 +193,20 @@ def _denoise_sequence(samples: Sequence[_Sample], finished: set[int], job: Denoi
     """
     first = samples[0].shard
     network = job.points() if first.of_points else job.denoise
-    denoising = job.denoising.of_simulated(network)
+    denoising = job.means.denoising.of_simulated(network)
 
-    def shot_of(sample: _Sample) -> SequenceFrame:
+    def shot_of(number: int, sample: _Sample) -> SequenceFrame:
         shard = sample.shard
         wanted = id(shard) not in finished
         place = partial(shard.place, sample.row)
         try:
             images = _Images(sample, *shard.images(sample.row))
-            return denoising.shot(images, images.noisy, place, wanted=wanted, is_tracked=True)
+            return denoising.shot(images, images.noisy, place, number=number, wanted=wanted)
         except (FactoryError, LookupError, ValueError) as error:
             raise FrameError(f"{shard.item.source}: {error}") from error
 
-    for denoised in denoising.sequence(map(shot_of, samples), alone=len(samples) == 1):
+    shots = starmap(shot_of, enumerate(samples))
+    for denoised in denoising.sequence(shots, alone=len(samples) == 1):
         if id(denoised.key.sample.shard) not in finished:
             _keep(denoised, job)
 
@@ -211,7 +214,9 @@ def _denoise_sequence(samples: Sequence[_Sample], finished: set[int], job: Denoi
 def _keep(denoised: Denoised, job: DenoisingJob) -> None:
     (shard, row), noisy, clean = denoised.key
     shard.put(row, denoised.image)
-    shard.report.add(f"pair {row}", noisy, denoised)
+    record = FrameRecord.of(noisy, denoised)
+    shard.report.add(f"pair {row}", record)
+    job.frame_rows.append(frame_row(shard.report.name, row, None, record.facts))
     full = shard.full_scale()
     if job.video is not None:
         job.video.add(noisy / full, denoised.image / full)

@@ -23,15 +23,10 @@ class UnchangedReport:
         self._images: Counter[str] = Counter()
         self._bright = 0
 
-    def add(self, name: str, image: Array, denoised: Array) -> None:
-        """An image, (H, W) or (H, W, C), with what became of it.  name: of its file."""
-        differs = image != denoised
-        if differs.ndim == 3:
-            differs = differs.any(axis=2)
-        if differs.mean() >= _CHANGED_SHARE or not _has_contrast(image):
-            return
+    def add(self, name: str, *, bright_border: bool) -> None:
+        """An image that did not change.  name: of its file."""
         self._images[name] += 1
-        self._bright += _has_bright_border(image)
+        self._bright += bright_border
 
     def merge(self, other: UnchangedReport) -> None:
         """Add what another report counted."""
@@ -61,12 +56,21 @@ def first_of(names: Sequence[str]) -> str:
     return named if len(names) <= _NAMED else f"{named} and {len(names) - _NAMED} more"
 
 
+def is_unchanged(image: Array, denoised: Array) -> bool:
+    """Whether denoising left an image, (H, W[, C]), as it was, though it shows something."""
+    differs = image != denoised
+    if differs.ndim == 3:
+        differs = differs.any(axis=2)
+    return bool(differs.mean() < _CHANGED_SHARE) and _has_contrast(image)
+
+
 def _has_contrast(image: Array) -> bool:
     spread = float(image.max()) - float(image.min())
     return spread > _LEAST_CONTRAST * FULL_SCALE[str(image.dtype)]
 
 
-def _has_bright_border(image: Array) -> bool:
+def has_bright_border(image: Array) -> bool:
+    """Whether the border of an image is bright, as a page is."""
     colours = image[..., :3].mean(axis=2) if image.ndim == 3 else image
     border = np.concatenate([colours[0], colours[-1], colours[:, 0], colours[:, -1]])
     return bool(np.median(border) > _BRIGHT * float(colours.max()))

@@ -7,8 +7,8 @@ the outline that was found last is looked at first.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -24,15 +24,10 @@ _KEPT_SHARE = 0.5  # of the outline that was seen when the fan was found
 _LEAST_SPREAD = 6  # of 255: ringing of codecs on a flat ground
 _MORE_OUTSIDE = 0.02  # part of the image: text and menus where there was nothing
 _LEAST_INSIDE = 0.2  # of what was lit in the fan when it was found
-_SAME_PX = 2.0
-_SAME_SHARE = 0.01
-_SAME_RAD = math.radians(0.5)
 _THUMBNAIL_PX = 16
-_LEAST_CUT = 1.0
-_CUT_OF_USUAL = 4.0
-"""Mean difference of thumbnails after a cut: of 255, and times the usual one."""
-_SHARE_OF_NEWEST = 0.1  # in the usual difference
-_LONGEST_PAUSE = 32  # frames between two searches where none finds a fan
+_LEAST_CUT = 1.0  # mean difference of thumbnails, of 255
+RUNS = (64, 16, 4)
+"""Images of a run whose first one is looked at."""
 _OTHER_IMAGE = 0.5
 """Part of its brightness by which an image differs from one that was searched in vain, so that it
 shows something else: the first ping after a title, after black frames or a dissolve."""
@@ -58,94 +53,78 @@ class _TrackedFan:
     outside: float
 
 
-class FanTracker:
-    """Follows the fan through images of one size.
+class _Searched(NamedTuple):
+    """An image whose fan is known.
 
-    searched: in how many images it was searched.  fans_found: in how many of them it was there.
-    changes: how often it was another one than before.
+    searched: number of the image that was searched.  fan: found there; None where it shows none.
+    """
+
+    number: int
+    searched: int
+    thumbnail: UInt8s
+    fan: _TrackedFan | None
+
+    def fits(self, grey: UInt8s, thumbnail: UInt8s) -> bool:
+        """Whether another image shows the same fan, or as little of one."""
+        if self.fan is not None:
+            return _is_kept(self.fan, grey)
+        apart = float(np.abs(thumbnail.astype(np.float64) - self.thumbnail).mean())
+        brightness = max(float(thumbnail.mean()), float(self.thumbnail.mean()))
+        return apart <= max(_LEAST_CUT, _OTHER_IMAGE * brightness)
+
+    def explains(self, grey: UInt8s, number: int) -> bool:
+        """Whether an image in which no fan is found shows this one, with parts in the dark."""
+        is_recent = number - self.searched < 2 * RUNS[0]
+        return self.fan is not None and is_recent and not _shows_other(self.fan, grey)
+
+
+class FanTracker:
+    """Finds the fan of each image of one size, in order.
+
+    The first image of every run of 64 is searched.  Others keep its fan where they show its
+    outline, else that of the first of their 16 or 4 images; an image that shows none of these is
+    searched.  So a fan is a function of the last 128 images, wherever a recording begins.
+    searched: how many images were searched.
     """
 
     def __init__(self) -> None:
-        self.searched = self.fans_found = self.changes = 0
-        self._fan: _TrackedFan | None = None
-        self._is_away = False
-        self._pause = self._waited = 0
-        self._before: UInt8s | None = None
-        self._searched_in_vain: UInt8s | None = None
-        self._usual_change: float | None = None
-        self._is_cut = False
+        self.searched = 0
+        self._next = 0
+        self._runs: dict[int, tuple[int, _Searched]] = {}  # by length: number of the run
+        self._last: _Searched | None = None
 
-    def geometry(self, image: Array) -> FanGeometry | None:
-        """The fan of the next image, (H, W) or (H, W, colours); None where it shows none."""
-        grey = grey_bytes(image)
-        self._look(grey)
-        fan = self._fan
-        if fan is not None:
-            if _is_kept(fan, grey):
-                self._is_away = False
-                return fan.geometry
-            if _is_dark(fan, grey):
-                return None if self._is_away else fan.geometry
-        if (fan is None or self._is_away) and not self._is_due():
-            return None
-        return self._searched(image, grey)
+    def geometry(self, image: Array, number: int | None = None) -> FanGeometry | None:
+        """The fan of the next image, (H, W) or (H, W, colours); None where it shows none.
 
-    def _searched(self, image: Array, grey: UInt8s) -> FanGeometry | None:
-        """Search an image for its fan: the fan so far where it is still there, else what was found.
-
-        After searches in vain the next ones wait longer and longer.
+        number: of the image in its recording; None: that after the last one.
         """
-        geometry = find_geometry(image)
-        self.searched += 1
-        fan = self._fan
-        if geometry is None:
-            self._pause = min(2 * self._pause + 1, _LONGEST_PAUSE)
-            self._waited = 0
-            self._searched_in_vain = self._before
-            if fan is None or _shows_other(fan, grey):
-                self._is_away = True
-                return None
-            # Nothing is around it: parts of its outline are in the dark, no more.
-            fan.shares = np.minimum(fan.shares, _shares(fan, grey))
-            return fan.geometry
-        self.fans_found += 1
-        self._is_away = False
-        self._pause = 0
-        if fan is not None and _is_same(fan.geometry, geometry):
-            fan.shares = np.minimum(fan.shares, _shares(fan, grey))
-            return fan.geometry
-        self.changes += fan is not None
-        self._fan = _fan_of(geometry, grey)
-        return geometry
-
-    def _is_due(self) -> bool:
-        """Whether to search after searches that failed: ever more rarely, and after a cut."""
-        self._waited += 1
-        if self._is_cut:
-            self._pause = 0
-        return self._waited > self._pause or self._shows_something_else()
-
-    def _shows_something_else(self) -> bool:
-        """Whether the image is unlike the last one in which no fan was found."""
-        thumbnail = self._before
-        searched = self._searched_in_vain
-        if thumbnail is None or searched is None:
-            return False
-        apart = float(np.abs(thumbnail.astype(np.float64) - searched).mean())
-        brightness = max(float(thumbnail.mean()), float(searched.mean()))
-        return apart > max(_LEAST_CUT, _OTHER_IMAGE * brightness)
-
-    def _look(self, grey: UInt8s) -> None:
-        """Notes whether the image differs from the one before as images do after a cut."""
+        number = self._next if number is None else number
+        self._next = number + 1
+        grey = grey_bytes(image)
+        last = self._last
+        if last is not None and number - last.number >= RUNS[0]:
+            last = None
+        if last is not None and last.fan is not None and _is_dark(last.fan, grey):
+            return last.fan.geometry
         thumbnail = _thumbnail(grey)
-        before = self._before
-        self._before = thumbnail
-        if before is None:
-            return
-        change = float(np.abs(thumbnail.astype(np.float64) - before).mean())
-        usual = change if self._usual_change is None else self._usual_change
-        self._is_cut = change > max(_LEAST_CUT, _CUT_OF_USUAL * usual)
-        self._usual_change = usual + _SHARE_OF_NEWEST * (change - usual)
+        known = [
+            self._runs[length][1]
+            for length in RUNS
+            if length in self._runs and self._runs[length][0] == number // length
+        ]
+        fitting = next((each for each in known if each.fits(grey, thumbnail)), None)
+        if fitting is None:
+            self.searched += 1
+            geometry = find_geometry(image)
+            fan = None if geometry is None else _fan_of(geometry, grey)
+            fitting = _Searched(number, number, thumbnail, fan)
+            if fan is None and last is not None and last.explains(grey, number):
+                fitting = last
+        self._last = fitting._replace(number=number)
+        for length in RUNS:
+            if self._runs.get(length, (-1,))[0] != number // length:
+                self._runs[length] = number // length, fitting
+        return None if fitting.fan is None else fitting.fan.geometry
 
 
 def _fan_of(geometry: FanGeometry, grey: UInt8s) -> _TrackedFan:
@@ -201,20 +180,6 @@ def _is_kept(fan: _TrackedFan, grey: UInt8s) -> bool:
 def _is_dark(fan: _TrackedFan, grey: UInt8s) -> bool:
     """Whether an image shows nothing at all, such as one between two recordings."""
     return not bool(_is_lit(fan, grey).mean() > 0.001)
-
-
-def _is_same(geometry: FanGeometry, reference: FanGeometry) -> bool:
-    """Whether two fans are one, as exactly as fans are found."""
-    if geometry.quarter_turns != reference.quarter_turns:
-        return False
-    near_px = max(_SAME_PX, _SAME_SHARE * geometry.far_px)
-    lengths = ("apex_x_px", "apex_y_px", "far_px")
-    angles = ("azimuth_min_rad", "azimuth_max_rad")
-    return all(
-        abs(getattr(geometry, name) - getattr(reference, name)) <= near_px for name in lengths
-    ) and all(
-        abs(getattr(geometry, name) - getattr(reference, name)) <= _SAME_RAD for name in angles
-    )
 
 
 def _thumbnail(grey: UInt8s) -> UInt8s:

@@ -217,46 +217,42 @@ class Geometries:
             raise FactoryError(f"--opening {opening_deg:g}: must be more than 0, up to 360 degrees")
         self.chosen = chosen
         self._opening_deg = opening_deg
-        self._has_assumed = False
         self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
-        # By the sequence and the size of the images, too: a bag may have several topics.
-        self._trackers: dict[tuple[Path, str, tuple[int, ...]], FanTracker] = {}
-        self._fans_found: dict[Path, dict[Path, bool]] = {}  # by folder, then by image
+        # By topic and size: a bag may have several topics.
+        self._trackers: dict[tuple[str, tuple[int, ...]], FanTracker] = {}
 
-    def of(self, item: InputFile, image: Array, sequence: str = "") -> FanGeometry | None:
+    def of(
+        self, item: InputFile, image: Array, sequence: str = "", number: int | None = None
+    ) -> FanGeometry | None:
         """The geometry of an image of `item`; None where it is not known.
 
-        Frames of a recording are to be asked for in order.  sequence: see `Frame`.
+        Frames of a recording are to be asked for in order, after `begin`.
+        sequence, number: see `SonarFrame`; an image without a number is searched alone.
         """
         if self.chosen == POLAR:
-            opening_deg = self._opening_deg
-            if opening_deg is None:
-                self._has_assumed = True
-                opening_deg = _ASSUMED_OPENING_DEG
+            opening_deg = self._opening_deg or _ASSUMED_OPENING_DEG
             return FanGeometry.polar(math.radians(opening_deg)).with_size(*image.shape[:2])
         if self.chosen != FIND:
             return self._table.get(item.source.name)
-        if item.kind != "images":
-            key = item.source, sequence, image.shape
-            return self._trackers.setdefault(key, FanTracker()).geometry(image)
-        geometry = find_geometry(image)
-        fan_found = self._fans_found.setdefault(item.source.parent, {})
-        fan_found[item.source] = geometry is not None
-        return geometry
+        if item.kind == "images" and number is None:
+            return find_geometry(image)
+        key = sequence, image.shape
+        return self._trackers.setdefault(key, FanTracker()).geometry(image, number)
+
+    def begin(self) -> None:
+        """Begin with the frames of another sequence."""
+        self._trackers.clear()
+
+    def note(self, name: str, fans_found: int, images: int) -> str:
+        """A line on the images of a file or folder whose fans were searched; mostly empty."""
+        if self.chosen != FIND or not images:
+            return ""
+        return f"geometry: fan found in {fans_found} of {images} images ({name})"
 
     def summary(self) -> Iterator[str]:
-        """One line a folder, image, video or bag that was searched; and what was assumed."""
-        if self._has_assumed:
+        """A line on what was assumed."""
+        if self.chosen == POLAR and self._opening_deg is None:
             yield (
                 f"geometry: polar images were taken to span {_ASSUMED_OPENING_DEG:g} degrees; "
                 "--opening DEGREES states what they span"
             )
-        said = "geometry: fan found in {} of {} images searched ({})"
-        for folder, fan_found in self._fans_found.items():
-            first, *others = fan_found
-            place = folder if others else first
-            yield said.format(sum(fan_found.values()), len(fan_found), place)
-        for (source, _, _), tracker in self._trackers.items():
-            line = said.format(tracker.fans_found, tracker.searched, source)
-            times = "once" if tracker.changes == 1 else f"{tracker.changes} times"
-            yield f"{line}; it changes {times}" if tracker.changes else line

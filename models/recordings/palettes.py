@@ -90,6 +90,8 @@ class Palette:
 
 SUM = "sum"
 GREY = "grey"
+NAMES = (*map(str.lower, _MAPS), *_OTHERS, GREY, SUM)
+"""Names that a colour map may have."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import deque
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -40,16 +41,20 @@ class RepeatFinder:
             return False
         changed = changed_grain(original, grey)
         self._changes.append(changed)
-        if changed <= self._most_changed():
+        if changed <= most_change_of_copies(self._changes):
             return True
         self._original = grey
         return False
 
-    def _most_changed(self) -> float:
-        """Most change that a copy may show; it is smaller in recordings that change little."""
-        largest = sorted(self._changes)[-2:]
-        usual = _OF_OTHERS * largest[0] if len(largest) == 2 else _MOST_CHANGED
-        return min(max(usual, _SURELY_COPIED), _MOST_CHANGED)
+
+def most_change_of_copies(changes: Iterable[float]) -> float:
+    """Most change that a copy may show; it is smaller in recordings that change little.
+
+    changes: of the last frames, each from the one that it may copy.
+    """
+    largest = sorted(changes)[-2:]
+    usual = _OF_OTHERS * largest[0] if len(largest) == 2 else _MOST_CHANGED
+    return min(max(usual, _SURELY_COPIED), _MOST_CHANGED)
 
 
 def changed_grain(frame: Float32s, reference: Float32s) -> float:

@@ -1,6 +1,6 @@
 """Aligned frames become one: the static scene is averaged, and moving targets are kept.
 
-What noise explains is measured in the recording itself, by grey level (`NoiseByLevel`).
+What noise explains is measured in the window itself, by grey level (`noise_by_level`).
 
 - Static scene: a neighbour counts at a pixel where it agrees with the median of all frames, in a
   small window and in a wide one.
@@ -13,22 +13,17 @@ What noise explains is measured in the recording itself, by grey level (`NoiseBy
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from ....factory.common.array_types import Array, Bools
 from .motion import blurred, everywhere, factors, grey_of, reduced
-from .noise_level import NoiseByLevel, RunningSpread
+from .noise_level import at_level, noise_by_level, some_of, standardised
 from .tracking import MAX_OFFSET, Tracks, find_tracks
 
-_LEARNING_FRAMES = 30
-_LEARNING_INTERVAL = 8
-"""Noise is measured on each of the first frames, later on every n-th."""
 # In reduced pixels, `motion.factors` times as large as those of the frames.
 _SMALL_SIGMA_PX = 0.8  # Gaussian of the small window
 _WIDE_SIDE_PX = 7  # side of the wide window
@@ -43,7 +38,7 @@ _OBVIOUS = 8.0
 """Standard deviations from which on a single frame shows an object; no path is needed then."""
 _MIN_TRACKED_FRAMES = 3
 _DARK = 0.02  # grey value below which there is nothing to learn from
-_REMEMBERED = 16  # frames
+_MEASURED_NEIGHBOURS = 2  # that the noise of a pixel is measured by
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +52,7 @@ class Neighbour:
     offset: int
     levels: Array
     visible: Array
+    small: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +62,15 @@ class FusedFrame:
     image: (H, W) or (H, W, C) float32.
     frame_count: (H, W), effective number of frames averaged at each pixel, >= 1.
     static_share: (H, W) in 0..1; 0 where something moves.
+    pixel_noise: (256,) noise of a pixel of a single frame, by level.
+    difference_noise: (256,) noise of a difference of two frames in the small window, by level.
     """
 
     image: Array
     frame_count: Array
     static_share: Array
+    pixel_noise: Array
+    difference_noise: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,179 +99,152 @@ class _Targets:
     faint: dict[int, Array]
 
 
-class _NoiseSample(NamedTuple):
-    """Where noise is measured on one frame.
+def fuse(frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
+    """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""
+    from . import kernels  # loads numba
 
-    neighbour: its index.  grey: (h, w) grey values of the scene; a pixel of 0 is left out.
-    """
+    grey = grey_of(frame)
+    if not neighbours:
+        ones = np.ones(grey.shape, np.float32)
+        return FusedFrame(frame, ones, ones, np.zeros(256, np.float32), np.zeros(256, np.float32))
+    small, visible = _reduce(grey, neighbours)
+    measured = some_of(len(neighbours))
+    scene_greys = [small.median * visible[index] for index in measured]
+    pixel_noise = _pixel_noise(grey, neighbours)
 
-    neighbour: int
-    grey: Array
+    # Of the neighbours, then of the frame itself.
+    planes = [*small.neighbours, small.frame]
+    with_median = _Agreement(planes, small.median, measured, scene_greys)
+    with_frame = _Agreement(small.neighbours, small.frame, measured, scene_greys)
+    agrees_with_median = with_median.planes[:-1]
+    static = with_median.planes[-1]
 
-
-class Fusion:
-    """Fuses the frames of a recording in order, and learns from each what noise explains.
-
-    noise: of a pixel of a single frame, by grey level.
-    """
-
-    def __init__(self) -> None:
-        self._frames_seen = 0
-        self._median_agreement = _Agreement(_AGREEMENT_LIMIT)
-        self._frame_agreement = _Agreement(_AGREEMENT_LIMIT)
-        self._score_spread = RunningSpread()
-        self.noise = NoiseByLevel()
-        # Levels of the last frames with their planes, which serve while the sonar is at rest.
-        self._blurred: deque[tuple[Array, Array]] = deque(maxlen=_REMEMBERED)
-
-    def __call__(self, frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
-        """Fuse a frame, (H, W) or (H, W, C) float32 in 0..1, with its neighbours."""
-        grey = grey_of(frame)
-        if not neighbours:
-            ones = np.ones(grey.shape, np.float32)
-            return FusedFrame(frame, ones, ones)
-        from . import kernels  # loads numba
-
-        small, visible = self._reduce(grey, neighbours)
-        noise_sample = None
-        index = self._neighbour_to_measure(len(neighbours))
-        if index is not None:
-            self._measure_noise(grey, neighbours[index])
-            noise_sample = _NoiseSample(index, small.median * visible[index])
-
-        # Of the neighbours, then of the frame itself.
-        planes = [*small.neighbours, small.frame]
-        agreement = self._median_agreement.compute(planes, small.median, noise_sample)
-        agrees_with_median = agreement[:-1]
-        static = agreement[-1]
-        agrees_with_frame = self._frame_agreement.compute(
-            small.neighbours, small.frame, noise_sample
+    # Where the frame shows an object, a neighbour that agrees with the median shows the scene,
+    # even if noise alone could explain its difference from the frame.
+    weights = [
+        _smooth(kernels.neighbour_weight(median_agreement, frame_agreement, static))
+        for median_agreement, frame_agreement in zip(
+            agrees_with_median, with_frame.planes, strict=True
         )
+    ]
+    image, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, weights)
+    static_share = _enlarge(static, grey.shape)
+    fused = FusedFrame(image, frame_count, static_share, pixel_noise, with_frame.noise)
 
-        # Where the frame shows an object, a neighbour that agrees with the median shows the scene,
-        # even if noise alone could explain its difference from the frame.
-        weights = [
-            _smooth(kernels.neighbour_weight(with_median, with_frame, static))
-            for with_median, with_frame in zip(agrees_with_median, agrees_with_frame, strict=True)
-        ]
-        image, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, weights)
-        fused = FusedFrame(image, frame_count, _enlarge(static, grey.shape))
+    trackable = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
+    if len(trackable) + 1 < _MIN_TRACKED_FRAMES:
+        return fused
+    targets = _find_targets(small, neighbours, with_median.sigma)
+    if not targets.gate.any():
+        return fused
+    return _with_targets(fused, frame, neighbours, agrees_with_median, targets)
 
-        trackable = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
-        if len(trackable) + 1 < _MIN_TRACKED_FRAMES:
-            return fused
-        targets = self._find_targets(small, neighbours)
-        if not targets.gate.any():
-            return fused
-        return _with_targets(fused, frame, neighbours, agrees_with_median, targets)
 
-    def shows_same(self, fused: FusedFrame, later: Array, visible: Array) -> Bools:
-        """Where another frame, (H, W), shows the static scene that was fused.
+def shows_same(fused: FusedFrame, other: Array, visible: Array) -> Bools:
+    """Where another frame, (H, W), shows the static scene that was fused.
 
-        Excludes pixels where something moves in either frame: calibration would mistake the motion
-        for noise.
-        """
-        small = blurred(reduced(fused.image), _SMALL_SIGMA_PX)
-        difference = np.abs(blurred(reduced(later), _SMALL_SIGMA_PX) - small)
-        agrees = difference / self._frame_agreement.noise.at(small) < _AGREEMENT_LIMIT
-        lit = small > _DARK
-        height, width = fused.image.shape
-        same = cv2.resize(
-            (agrees & lit).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
-        )
-        return np.asarray((same > 0) & (visible > 0) & (fused.static_share > 0.5))
+    Excludes pixels where something moves in either frame: calibration would mistake the motion
+    for noise.
+    """
+    small = blurred(reduced(fused.image), _SMALL_SIGMA_PX)
+    deviation = np.abs(blurred(reduced(other), _SMALL_SIGMA_PX) - small)
+    agrees = deviation / at_level(small, fused.difference_noise) < _AGREEMENT_LIMIT
+    lit = small > _DARK
+    height, width = fused.image.shape
+    same = cv2.resize(
+        (agrees & lit).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
+    )
+    return np.asarray((same > 0) & (visible > 0) & (fused.static_share > 0.5))
 
-    def _reduce(self, grey: Array, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list[Array]]:
-        """The frames reduced and blurred, and where each neighbour is visible there, 0 or 1."""
-        frame = self._blurred_small(grey)
-        visible: list[Array] = []
-        planes = []
-        for neighbour in neighbours:
-            plane = self._blurred_small(grey_of(neighbour.levels))
-            if neighbour.visible is everywhere(*grey.shape):
-                visible.append(np.ones(frame.shape, np.uint8))
-                planes.append(plane)
-                continue
-            fully_visible = (reduced(neighbour.visible) > 0.99).astype(np.uint8)
-            mask = cv2.erode(fully_visible, np.ones((5, 5), np.uint8))
-            visible.append(mask)
-            planes.append(np.where(mask > 0, plane, frame))
-        return _Reduced(frame, median([*planes, frame]), planes), visible
 
-    def _blurred_small(self, grey: Array) -> Array:
-        """A frame, (H, W), reduced and blurred; not to be changed."""
-        for levels, plane in self._blurred:
-            if levels is grey:
-                return plane
-        plane = blurred(reduced(grey), _SMALL_SIGMA_PX)
-        self._blurred.append((grey, plane))
-        return plane
+def _reduce(grey: Array, neighbours: Sequence[Neighbour]) -> tuple[_Reduced, list[Array]]:
+    """The frames reduced and blurred, and where each neighbour is visible there, 0 or 1."""
+    frame = _blurred_small(grey)
+    visible: list[Array] = []
+    planes = []
+    for neighbour in neighbours:
+        plane = neighbour.small
+        if plane is None:
+            plane = _blurred_small(grey_of(neighbour.levels))
+        if neighbour.visible is everywhere(*grey.shape):
+            visible.append(np.ones(frame.shape, np.uint8))
+            planes.append(plane)
+            continue
+        fully_visible = (reduced(neighbour.visible) > 0.99).astype(np.uint8)
+        mask = cv2.erode(fully_visible, np.ones((5, 5), np.uint8))
+        visible.append(mask)
+        planes.append(np.where(mask > 0, plane, frame))
+    return _Reduced(frame, median([*planes, frame]), planes), visible
 
-    def _neighbour_to_measure(self, count: int) -> int | None:
-        """Index of the neighbour on which noise is measured; None: not on this frame."""
-        due = self._frames_seen < _LEARNING_FRAMES or self._frames_seen % _LEARNING_INTERVAL == 0
-        index = self._frames_seen % count if due else None
-        self._frames_seen += 1
-        return index
 
-    def _measure_noise(self, grey: Array, neighbour: Neighbour) -> None:
-        """Learn the noise of a pixel from the difference of a frame and a neighbour."""
-        difference = (grey_of(neighbour.levels) - grey) * np.float32(np.sqrt(0.5))
-        self.noise.add(difference, grey * neighbour.visible)
+def _blurred_small(grey: Array) -> Array:
+    """A frame, (H, W), reduced and blurred."""
+    return blurred(reduced(grey), _SMALL_SIGMA_PX)
 
-    def _find_targets(self, small: _Reduced, neighbours: Sequence[Neighbour]) -> _Targets:
-        """Find the objects that move along paths through the window."""
-        lit = small.median > _DARK
-        sigma = self._median_agreement.noise.at(small.median)
-        offsets = [*(neighbour.offset for neighbour in neighbours), 0]
-        deviations = {
-            offset: (plane - small.median) / sigma * lit
-            for offset, plane in zip(offsets, (*small.neighbours, small.frame), strict=True)
-        }
-        faint = {offset: _faint(deviation) for offset, deviation in deviations.items()}
-        tracks = find_tracks({offset: deviations[offset] * faint[offset] for offset in offsets})
-        score = self._score_spread.standardise(np.abs(tracks.score), lit)
-        significance = np.clip((score - _GATE_START) / (_GATE_END - _GATE_START), 0, 1)
-        significant = cv2.dilate(significance.astype(np.float32), np.ones((3, 3), np.uint8))
-        gate = significant * _explained(deviations[0], tracks.mean)
-        return _Targets(tracks, cv2.blur(gate, (3, 3)), faint)
+
+def _pixel_noise(grey: Array, neighbours: Sequence[Neighbour]) -> Array:
+    """The noise of a pixel, from the differences of a frame and its neighbours; by level."""
+    nearest = neighbours[:_MEASURED_NEIGHBOURS]
+    return noise_by_level(
+        [(grey_of(near.levels) - grey) * np.float32(np.sqrt(0.5)) for near in nearest],
+        [grey * near.visible for near in nearest],
+    )
+
+
+def _find_targets(small: _Reduced, neighbours: Sequence[Neighbour], sigma: Array) -> _Targets:
+    """Find the objects that move along paths through the window.
+
+    sigma: (h, w) noise of a deviation from the median.
+    """
+    lit = small.median > _DARK
+    offsets = [*(neighbour.offset for neighbour in neighbours), 0]
+    deviations = {
+        offset: (plane - small.median) / sigma * lit
+        for offset, plane in zip(offsets, (*small.neighbours, small.frame), strict=True)
+        if abs(offset) <= MAX_OFFSET
+    }
+    faint = {offset: _faint(deviation) for offset, deviation in deviations.items()}
+    tracks = find_tracks({offset: deviations[offset] * faint[offset] for offset in deviations})
+    score = standardised(np.abs(tracks.score), lit)
+    significance = np.clip((score - _GATE_START) / (_GATE_END - _GATE_START), 0, 1)
+    significant = cv2.dilate(significance.astype(np.float32), np.ones((3, 3), np.uint8))
+    gate = significant * _explained(deviations[0], tracks.mean)
+    return _Targets(tracks, cv2.blur(gate, (3, 3)), faint)
 
 
 class _Agreement:
     """How far frames agree in a small window and in a wide one, up to a limit in deviations.
 
-    noise: standard deviation of a difference in the small window, by grey level.
+    planes: 1 up to the limit in both windows, then falling to 0; (h, w) for each frame.
+    noise: of a difference in the small window, by grey level.  sigma: (h, w) the same.
     """
 
-    def __init__(self, limit: float) -> None:
-        self._limit = np.float32(limit)
-        self.noise = NoiseByLevel()
-        self._wide_noise = NoiseByLevel()
+    def __init__(
+        self,
+        planes: Sequence[Array],
+        grey: Array,
+        measured: Sequence[int],
+        scene_greys: Sequence[Array],
+    ) -> None:
+        """planes: (h, w) each, that are compared with the plane `grey`.
 
-    def compute(
-        self, planes: Sequence[Array], grey: Array, noise_sample: _NoiseSample | None
-    ) -> list[Array]:
-        """1 up to the limit in both windows, then falling to 0; (h, w) for each plane.
-
-        planes: (h, w) each, that are compared with the plane `grey`.
-        noise_sample: the plane that noise is measured on; None: on none.
+        measured: indices of those that noise is measured on.  scene_greys: (h, w) grey values of
+        the scene there; a pixel of 0 is left out.
         """
         from . import kernels  # loads numba
 
-        if noise_sample is not None:
-            self.noise.add(planes[noise_sample.neighbour] - grey, noise_sample.grey)
-        sigma = self.noise.at(grey)
+        self.noise = noise_by_level([planes[index] - grey for index in measured], scene_greys)
+        self.sigma = at_level(grey, self.noise)
         most = np.float32(_MAX_DEVIATION)
-        both = [kernels.deviations(plane, grey, sigma, most) for plane in planes]
+        both = [kernels.deviations(plane, grey, self.sigma, most) for plane in planes]
         wide = [cv2.blur(clipped, (_WIDE_SIDE_PX, _WIDE_SIDE_PX)) for _, clipped in both]
-        if noise_sample is not None:
-            self._wide_noise.add(wide[noise_sample.neighbour], noise_sample.grey)
-        wide_sigma = self._wide_noise.at(grey)
+        wide_noise = noise_by_level([wide[index] for index in measured], scene_greys)
+        wide_sigma = at_level(grey, wide_noise)
         exponents = [
-            kernels.excess_exponent(deviation, wide_mean, wide_sigma, self._limit)
+            kernels.excess_exponent(deviation, wide_mean, wide_sigma, np.float32(_AGREEMENT_LIMIT))
             for (deviation, _), wide_mean in zip(both, wide, strict=True)
         ]
-        return [cv2.exp(exponent) for exponent in exponents]
+        self.planes = [cv2.exp(exponent) for exponent in exponents]
 
 
 def median(planes: Sequence[Array]) -> Array:
@@ -339,7 +312,8 @@ def _with_targets(
     gate = _enlarge(targets.gate, frame.shape) * (scene_count > 1)
     target = _mean_target(frame, scene, gate, neighbours, targets)
     image = fused.image + _like(gate, fused.image) * (scene + target - fused.image)
-    return FusedFrame(np.clip(image, 0, 1), fused.frame_count, fused.static_share * (1 - gate))
+    static_share = fused.static_share * (1 - gate)
+    return replace(fused, image=np.clip(image, 0, 1), static_share=static_share)
 
 
 def _explained(deviation: Array, path_mean: Array) -> Array:

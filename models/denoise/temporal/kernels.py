@@ -302,6 +302,43 @@ def variation_level(
     return result
 
 
+@compiled(
+    "float64[:, :, ::1](Array(float32, 3, 'C', readonly=True), "
+    f"Array(uint8, 2, 'C', readonly=True), {_PLANE}, Array(uint8, 2, 'C', readonly=True), "
+    "int64[::1], int64)"
+)
+def normal_equations(
+    changes: Float32s,
+    variation: UInt8s,
+    target: Float32s,
+    same: UInt8s,
+    class_of: Int64s,
+    stride: int,
+) -> Float64s:
+    """Sums of the products of changes, of the target and of 1 with each other, by class.
+
+    changes: (n, H, W).  target: (H, W).  same: (H, W), not 0 where a pixel counts; of these every
+    `stride`-th row and column.  class_of: class of each level of variation.
+    Returns (classes, n + 2, n + 2); of changes, then the target, then 1; the lower triangle.
+    """
+    count, height, width = changes.shape
+    classes = class_of[-1] + 1
+    sums = np.zeros((classes, count + 2, count + 2))
+    values = np.ones(count + 2)
+    for row in range(0, height, stride):
+        for column in range(0, width, stride):
+            if not same[row, column]:
+                continue
+            for number in range(count):
+                values[number] = changes[number, row, column]
+            values[count] = target[row, column]
+            of_class = sums[class_of[variation[row, column]]]
+            for i in range(count + 2):
+                for j in range(i + 1):
+                    of_class[i, j] += values[i] * values[j]
+    return sums
+
+
 @compiled(f"float64({_PLANE}, {_PLANE})")
 def correlation(band: Float32s, other: Float32s) -> float:
     """Correlation where both planes are not 0; -1 where that is less than a quarter of the first.

@@ -9,7 +9,7 @@ sonars are at rest, and laying a frame over another between its pixels costs sha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -134,16 +134,16 @@ class AlignmentView:
 
 
 class Aligner:
-    """Motions between the last frames of a recording, each found when it is first asked for.
+    """Motions between frames of a recording, each found when it is first asked for.
 
-    capacity: how many frames are remembered.
+    previous: the frame before one on its chain, or None; see `Grouping`.  A motion over several
+    frames starts from those between neighbours, so it depends on the frames between alone.
     """
 
-    def __init__(self, capacity: int) -> None:
-        self._capacity = capacity
+    def __init__(self, previous: Callable[[int], int | None]) -> None:
+        self._previous = previous
         self._views: dict[int, AlignmentView] = {}
         self._motions: dict[tuple[int, int], Motion | None] = {}
-        self._last = np.zeros(6)
 
     def add(self, number: int, grey: Array, shift_px: tuple[float, float] | None = None) -> None:
         """The next frame, (H, W) in 0..1.
@@ -152,15 +152,15 @@ class Aligner:
         it; a start, nothing more.
         """
         self._views[number] = AlignmentView(grey, shift_px)
-        oldest = number - self._capacity
-        self._views.pop(oldest, None)
-        self._motions = {pair: motion for pair, motion in self._motions.items() if pair[1] > oldest}
+
+    def forget(self, number: int) -> None:
+        """Drop a frame and its motions."""
+        self._views.pop(number, None)
+        for pair in [pair for pair in self._motions if number in pair]:
+            del self._motions[pair]
 
     def motion(self, number: int, neighbour: int) -> Motion | None:
-        """Where the pixels of a frame lie in a neighbour; None where that shows something else.
-
-        Quickest when frames nearer in time have been asked for before.
-        """
+        """Where the pixels of a frame lie in a neighbour; None where that shows something else."""
         if neighbour > number:
             motion = self.motion(neighbour, number)
             return None if motion is None else motion.inverse(self._views[number].shape)
@@ -173,30 +173,32 @@ class Aligner:
         neighbour_view = self._views.get(neighbour)
         if view is None or neighbour_view is None or view.full_shape != neighbour_view.full_shape:
             return None
-        starts = self._starts(number, neighbour)
-        # By way of a frame between, it is the only one.
-        steps = _STEPS_BETWEEN if len(starts) == 1 else _STEPS
+        start = self._by_way_of_previous(number, neighbour)
         pair = _Pair(view, neighbour_view)
-        affine, correlation = _affine_motion(pair, starts, steps)
+        if start is not None:
+            affine, correlation = _affine_motion(pair, [start], _STEPS_BETWEEN)
+        else:
+            affine, correlation = _affine_motion(pair, self._starts(view, neighbour_view), _STEPS)
         pixels = max(float(view.lit.sum()), 1.0)
         if correlation < ALIKE + _BY_CHANCE / np.sqrt(pixels / _GRAIN):
             return None
-        if number - neighbour == 1:
-            self._last = affine
         return Motion(affine, _block_flow(pair, affine))
 
-    def _starts(self, number: int, neighbour: int) -> list[Float64s]:
-        """Motions to start from: by way of a frame between both, else all that can be known."""
-        view = self._views[number]
-        neighbour_view = self._views[neighbour]
-        for between in range(number - 1, neighbour, -1):
-            first = self._motions.get((number, between))
-            second = self._motions.get((between, neighbour))
-            if first and second:
-                first_matrix = _matrix(first.affine, view.shape)
-                second_matrix = _matrix(second.affine, view.shape)
-                return [_affine(second_matrix @ first_matrix, view.shape)]
-        starts = [self._last, _phase_shift(view, neighbour_view)]
+    def _by_way_of_previous(self, number: int, neighbour: int) -> Float64s | None:
+        """The motion by way of the frame before, where that lies between both."""
+        previous = self._previous(number)
+        if previous is None or previous <= neighbour:
+            return None
+        first = self.motion(number, previous)
+        second = self.motion(previous, neighbour)
+        if first is None or second is None:
+            return None
+        shape = self._views[number].shape
+        return _affine(_matrix(second.affine, shape) @ _matrix(first.affine, shape), shape)
+
+    def _starts(self, view: AlignmentView, neighbour_view: AlignmentView) -> list[Float64s]:
+        """Motions to start from between frames that follow each other."""
+        starts = [_phase_shift(view, neighbour_view)]
         if view.shift_px is not None:
             right_px, down_px = view.shift_px
             down, right = factors(view.full_shape)

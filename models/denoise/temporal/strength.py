@@ -3,14 +3,15 @@
 A frame outside the window has noise of its own, so what predicts it best is nearest to the static
 scene (Lehtinen et al. 2018 train on this; here a few coefficients are fitted by least squares).
 Predictors are the fused image, its weak total variation, the network and blurred images, each with
-a coefficient by how much the image varies around a pixel.  Two sets are fitted: for a whole window,
-and for a single frame, which is what is left where something moves.  Between them the logarithm of
-the frame count interpolates.
+a coefficient by how much the image varies around a pixel.  They are fitted for a whole window;
+where something moves a single frame is left, and there the network counts alone.  Between both the
+logarithm of the frame count interpolates.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -35,12 +36,9 @@ _VARIATION_LEVELS = 64  # of its table
 _PRIOR_PIXELS = 300.0
 _PRIOR_SHARE = 1e-3
 """Pixels that count for the default coefficients, and their part whatever is measured."""
-_SINGLE_FRAME_CHOICES = np.array([(tv, net) for tv in range(21) for net in range(6, 21 - tv)]) / 20
-"""Parts of total variation and network that are tried for a single frame.  The network has its part
-whatever predicts best, as it also removes static artefacts.  The frame gets the rest."""
-_MIN_PIXELS = 500
-LEAST_MEASURED = 3
-"""Frames from which on a strength tells more of the recording than of one frame."""
+_NETWORK = 1  # index of its predictor
+_STRIDE = 2  # of the pixels that are measured
+_MIN_PIXELS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +81,11 @@ class Weights:
     """Coefficients of the predictors.
 
     window_frames: frames of a whole window.
-    single: (2,) parts of total variation and network for a single frame.
-    window: (classes of variation, predictors) for a whole window.
+    window: (classes of variation, predictors) for a whole window.  A single frame is what the
+    network makes of it.
     """
 
     window_frames: int
-    single: Float64s
     window: Float64s
 
     def apply(self, predictors: Predictors, frame_count: Array) -> Array:
@@ -104,7 +101,7 @@ class Weights:
             np.float32,
         )
         single = np.zeros(len(tables), np.float32)
-        single[: len(self.single)] = self.single
+        single[_NETWORK] = 1
         return np.asarray(
             kernels.weighted_changes(
                 predictors.grey,
@@ -118,115 +115,82 @@ class Weights:
 
 
 class StrengthParts(NamedTuple):
-    """How much each predictor contributes: in whole windows, and in single frames.
-
-    measured: number of frames that this was fitted to.
-    """
+    """How much each predictor contributes in whole windows; measured: frames it was fitted to."""
 
     network: float
     variation: float
     blurred: float
-    single_network: float
-    single_variation: float
     measured: int
 
 
-class Strength:
-    """Fits the coefficients of the predictors to frames outside the window.
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """How well the predictors of a frame predict a frame outside its window.
 
-    weights: fitted so far.  measured: number of frames that they were fitted to.
+    squares, products: of the normal equations, by class of variation.  pixels: of each class.
     """
 
-    def __init__(self, window_frames: int, *, frame_aware: bool) -> None:
-        """frame_aware: whether the network gets the number of averaged frames."""
-        self._default = np.array(_DEFAULT_FRAME_AWARE if frame_aware else _DEFAULT_FRAME_BLIND)
-        classes = len(_VARIATION_CLASSES)
-        window = np.tile(self._default, (classes, 1))
-        self.weights = Weights(window_frames, np.array([0.0, 1.0]), window)
-        self.measured = 0
-        self._single_squares = np.zeros((2, 2))
-        self._single_products = np.zeros(2)
-        self._window_squares = np.zeros((classes, _PREDICTORS, _PREDICTORS))
-        self._window_products = np.zeros((classes, _PREDICTORS))
-        self._window_pixels = np.zeros(classes)
+    squares: Float64s
+    products: Float64s
+    pixels: Float64s
 
-    def add_single(self, predictors: Predictors, outside: Array, same: Bools) -> None:
-        """Measure how well the predictors of a single frame predict a frame outside its window.
+    @classmethod
+    def of(cls, predictors: Predictors, outside: Array, same: Bools) -> Measurement | None:
+        """Measure on a grey frame; None where both frames share too little.
 
-        outside: (H, W), that frame, aligned.  same: (H, W), where it shows the same scene.
+        outside: (H, W), the other frame, aligned.  same: (H, W), where it shows the same scene.
         """
-        if np.count_nonzero(same) < _MIN_PIXELS:
-            return
-        target = _target(predictors, outside, same)
-        changes = _changes(predictors.changes[:2], same)
-        self._single_squares += changes @ changes.T
-        self._single_products += changes @ target
+        from . import kernels  # loads numba
 
-    def add_window(self, predictors: Predictors, outside: Array, same: Bools) -> None:
-        """Add the predictors of a whole window."""
         if np.count_nonzero(same) < _MIN_PIXELS:
-            return
-        target = _target(predictors, outside, same)
-        changes = _changes(predictors.changes, same)
+            return None
         middles = np.array(_VARIATION_CLASSES) * _VARIATION_LEVELS / _VARIATION_CLASSES[-1]
         bounds = (middles[1:] + middles[:-1]) / 2
-        classes = np.digitize(predictors.variation[same], bounds)
+        sums = kernels.normal_equations(
+            predictors.changes,
+            predictors.variation,
+            outside - predictors.grey,
+            np.ascontiguousarray(same).view(np.uint8),
+            np.digitize(np.arange(_VARIATION_LEVELS), bounds),
+            _STRIDE,
+        )
+        changes = np.s_[:, :_PREDICTORS]
+        target, one = sums[:, -2], sums[:, -1]
+        pixels = one[:, -1]
+        # Without a difference in gain.
+        mean = one[:, -2].sum() / max(pixels.sum(), 1)
+        squares = np.tril(sums[changes][..., :_PREDICTORS])
+        squares = squares + np.tril(squares, -1).transpose(0, 2, 1)
+        products = target[changes] - mean * one[changes]
+        return cls(squares, products, pixels)
+
+
+class Strength(NamedTuple):
+    """Coefficients that were fitted to some frames.  parts: their means, for reports."""
+
+    weights: Weights
+    parts: StrengthParts
+
+
+def fitted(
+    measurements: Sequence[Measurement], window_frames: int, *, frame_aware: bool
+) -> Strength:
+    """The coefficients that predict best.
+
+    frame_aware: whether the network gets the number of averaged frames.
+    """
+    default = np.array(_DEFAULT_FRAME_AWARE if frame_aware else _DEFAULT_FRAME_BLIND)
+    window = np.tile(default, (len(_VARIATION_CLASSES), 1))
+    pixels = sum((each.pixels for each in measurements), np.zeros(len(_VARIATION_CLASSES)))
+    if measurements:
+        squares = np.sum([each.squares for each in measurements], axis=0)
+        products = np.sum([each.products for each in measurements], axis=0)
         for number in range(len(_VARIATION_CLASSES)):
-            members = classes == number
-            of_class = changes[:, members]
-            self._window_squares[number] += of_class @ of_class.T
-            self._window_products[number] += of_class @ target[members]
-            self._window_pixels[number] += np.count_nonzero(members)
-
-    def fit(self) -> None:
-        """Choose the coefficients that predict best."""
-        self.measured += 1
-        choices = _SINGLE_FRAME_CHOICES
-        squared_error = np.einsum("ni,ij,nj->n", choices, self._single_squares, choices)
-        squared_error -= 2 * choices @ self._single_products
-        single = self.weights.single
-        if squared_error.any():
-            single = choices[int(np.argmin(squared_error))]
-
-        window = self.weights.window.copy()
-        for number, pixels in enumerate(self._window_pixels):
-            squares = self._window_squares[number]
-            prior_weight = _PRIOR_SHARE + _PRIOR_PIXELS / (pixels + 1)
-            prior = np.diag(np.diag(squares) * prior_weight + 1e-12)
-            products = self._window_products[number] + prior @ self._default
-            window[number] = np.linalg.solve(squares + prior, products)
-        self.weights = replace(self.weights, single=single, window=window)
-
-    @property
-    def parts(self) -> StrengthParts:
-        """The mean coefficients of the recording."""
-        share = self._window_pixels / max(self._window_pixels.sum(), 1)
-        variation, network, *blurs = (share @ self.weights.window).tolist()
-        single_variation, single_network = self.weights.single.tolist()
-        return StrengthParts(
-            network, variation, sum(blurs), single_network, single_variation, self.measured
-        )
-
-    def __str__(self) -> str:
-        parts = self.parts
-        few = f", which is too few to rely on: {LEAST_MEASURED} at least"
-        return (
-            f"in whole windows {parts.network:.2f} network, {parts.variation:.2f} total "
-            f"variation, {parts.blurred:.2f} blurred, the rest as fused; in single frames "
-            f"{parts.single_network:.2f} network, {parts.single_variation:.2f} total variation "
-            f"(measured on {parts.measured} frame{'s' * (parts.measured != 1)}"
-            f"{few * (parts.measured < LEAST_MEASURED)})"
-        )
-
-
-def _target(predictors: Predictors, outside: Array, same: Bools) -> Float64s:
-    """What the changes are to add up to, (pixels,), without a difference in gain."""
-    target: Float64s = (outside - predictors.grey)[same].astype(np.float64)
-    target -= target.mean()
-    return target
-
-
-def _changes(planes: Array, same: Bools) -> Float64s:
-    """(predictors, pixels): the values of each plane where both frames show the same."""
-    changes: Float64s = np.stack([plane[same] for plane in planes]).astype(np.float64)
-    return changes
+            prior_weight = _PRIOR_SHARE + _PRIOR_PIXELS / (_STRIDE**2 * pixels[number] + 1)
+            prior = np.diag(np.diag(squares[number]) * prior_weight + 1e-12)
+            window[number] = np.linalg.solve(
+                squares[number] + prior, products[number] + prior @ default
+            )
+    variation, network, *blurs = (pixels / max(pixels.sum(), 1) @ window).tolist()
+    parts = StrengthParts(network, variation, sum(blurs), len(measurements))
+    return Strength(Weights(window_frames, window), parts)

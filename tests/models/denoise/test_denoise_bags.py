@@ -9,7 +9,7 @@ import pytest
 
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.ros_types import SONAR, typestore
-from simnfnd.models.denoise import command
+from simnfnd.models.denoise import options
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.rosbag import IMAGE, RosBag
 from tests.models.denoise.untrained import Halving, main, results_in
@@ -76,9 +76,9 @@ def test_frames_of_one_topic_are_fused(
     still = [sonar(store, number, pings(1, 40, 32)[0]) for number in range(3)]
     write_bag(tmp_path / "a.bag", {"/a": (SONAR, still), "/b": (SONAR, still)})
     words = [str(tmp_path / "a.bag"), "--out", str(tmp_path / "out"), "--frames", "3"]
-    assert command.main(words) == 0
+    assert options.main(words) == 0
     assert "kinds of frames: 2, each denoised among its like: /a (3" in capsys.readouterr().out
-    assert command.main([*words, "--topic", "/b"]) == 0
+    assert options.main([*words, "--topic", "/b"]) == 0
     assert "in time: " in capsys.readouterr().out
     with RosBag(tmp_path / "out/a.bag", ["/a"]) as bag:
         assert (bag[1].samples == pings(1, 40, 32)[0]).all()

@@ -128,8 +128,8 @@ def test_fans_are_found_unless_told_not_to(
     arguments = [str(folder), "--out", str(tmp_path / "out")]
     assert main(arguments) == 0
     said = capsys.readouterr().out
-    assert f"geometry: fan found in 2 of 3 images searched ({folder})" in said
-    assert f"geometry: fan found in 1 of 1 images searched ({folder / 'deep' / 'c.png'})" in said
+    assert f"geometry: fan found in 2 of 3 images ({folder})" in said
+    assert f"geometry: fan found in 1 of 1 images ({folder / 'deep' / 'c.png'})" in said
     actual = [message for message in halving.geometries if message is not None]
     assert len(actual) == 3
     assert actual[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)

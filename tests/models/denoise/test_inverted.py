@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.common.array_types import Float32s
-from simnfnd.models.denoise.inverted import InvertedReport, has_inverted_scale
+from simnfnd.models.denoise.inverted import InvertedReport, has_inverted_scale, looks_inverted
 from simnfnd.models.denoise.options import main
-from simnfnd.models.denoise.unchanged import UnchangedReport
+from simnfnd.models.denoise.unchanged import UnchangedReport, has_bright_border, is_unchanged
 
 LAMPREY = Path(__file__).parents[3] / "examples/didson/lamprey.avi"
 MDD = Path(__file__).parents[4] / "shared/data/mdd/Images"
@@ -69,7 +69,7 @@ def test_most_images_of_a_file_decide() -> None:
     for name, count in (("title.avi", 1), ("dark.avi", 3)):
         for index in range(4):
             levels = inverted if index < count else upright
-            report.add(name, levels, levels)
+            report.add(name, inverted=looks_inverted(levels, levels))
     (line,) = report.summary()
     assert "dark.avi" in line
     assert "title.avi" not in line
@@ -77,9 +77,7 @@ def test_most_images_of_a_file_decide() -> None:
 
 def test_twelve_bits_in_sixteen_are_judged_on_their_own_scale() -> None:
     counts = np.rint(speckled_fan(0, ground=1.0, inverted=True) * 4095).astype(np.uint16)
-    report = InvertedReport()
-    report.add("a.tif", counts, counts.astype(np.float32) / 65535)
-    assert "a.tif" in "".join(report.summary())
+    assert looks_inverted(counts, counts.astype(np.float32) / 65535)
 
 
 def test_the_command_names_inverted_images_until_invert_is_given(
@@ -105,10 +103,12 @@ def test_the_command_names_inverted_images_until_invert_is_given(
 
 def test_images_that_did_not_change_are_named_and_flat_ones_are_not() -> None:
     bright = np.rint(speckled_fan(0, ground=1.0, inverted=True) * 255).astype(np.uint8)
+    flat = np.zeros_like(bright)
+    assert is_unchanged(bright, bright)
+    assert not is_unchanged(bright, 255 - bright)
+    assert not is_unchanged(flat, flat)
     report = UnchangedReport()
-    report.add("kept.png", bright, bright)
-    report.add("denoised.png", bright, 255 - bright)
-    report.add("flat.png", np.zeros_like(bright), np.zeros_like(bright))
+    report.add("kept.png", bright_border=has_bright_border(bright))
     (line,) = report.summary()
     assert line.startswith("unchanged: 1 image of kept.png")
     assert "--invert" in line

@@ -11,7 +11,7 @@ import tifffile
 from simnfnd.evaluation.judging.recorded import open_input
 from simnfnd.evaluation.real.groups import search
 from simnfnd.models.adapting.stretches import read_clips
-from simnfnd.models.denoise.temporal.like_frames import LikeFrames
+from simnfnd.models.denoise.temporal.likeness import LikeFrames
 from simnfnd.models.recordings.device_settings import RecordedSettings
 from simnfnd.models.recordings.inputs import NONE, Geometries
 from tests.models.denoise.test_changing_recordings import HIGH, LOW, in_turns, static

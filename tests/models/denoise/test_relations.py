@@ -17,7 +17,7 @@ import tifffile
 
 import simnfnd
 from simnfnd.factory.common.array_types import Array
-from simnfnd.models.denoise import command
+from simnfnd.models.denoise import options
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.device_settings import RecordedSettings
@@ -186,7 +186,7 @@ def test_api_command_and_files_agree(tmp_path: Path, halving: Halving) -> None:
     words = ["--frames", str(WINDOW), "--geometry", "none"]
     for name in ("a.npy", "b.tif", "c.mkv", "shots"):
         out = tmp_path / "out" / name
-        assert command.main([str(tmp_path / name), "--out", str(out), *words]) == 0
+        assert options.main([str(tmp_path / name), "--out", str(out), *words]) == 0
         with open_recording(out if name == "shots" else out / name) as result:
             np.testing.assert_array_equal([frame.samples for frame in result], expected)
 
@@ -202,6 +202,6 @@ def test_the_api_equals_the_command(tmp_path: Path) -> None:
     frames = recorded("lamprey")[:3, :64, :64]
     np.save(tmp_path / "a.npy", frames)
     words = [str(tmp_path / "a.npy"), "--out", str(tmp_path / "out"), "--frames", "3"]
-    assert command.main([*words, "--geometry", "none"]) == 0
+    assert options.main([*words, "--geometry", "none"]) == 0
     result = simnfnd.denoise(frames, frames=3, geometry=None)
     np.testing.assert_array_equal(np.load(tmp_path / "out" / "a.npy"), result)

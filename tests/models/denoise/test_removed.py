@@ -42,7 +42,7 @@ def ellipse(shape: tuple[int, ...], row: float, column: float) -> Array:
 def report_of(pairs: list[tuple[Array, Array]]) -> tuple[RemovedReport, str]:
     report = RemovedReport()
     for number, (noisy, denoised) in enumerate(pairs):
-        report.add(f"frame {number}", Removed(noisy, denoised))
+        report.add(f"frame {number}", Removed(noisy, denoised).structure)
     (line,) = report.summary()
     return report, line
 

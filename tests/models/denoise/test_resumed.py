@@ -15,7 +15,7 @@ import pytest
 
 from simnfnd.factory.common.array_types import Float32s, UInt8s
 from simnfnd.factory.common.ros_types import typestore
-from simnfnd.models.denoise import command
+from simnfnd.models.denoise import command, options
 from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.recordings.rosbag import IMAGE
 from tests.models.adapt.scenes import noisy, scene, write
@@ -111,7 +111,7 @@ def test_a_second_run_does_what_is_new_or_changed(
     def run(names: str, *words: str) -> int:
         denoiser = use(monkeypatch, Smoothing())
         sources = [str(tmp_path / f"{name}.npy") for name in names]
-        assert command.main([*sources, *words, *rest]) == 0
+        assert options.main([*sources, *words, *rest]) == 0
         return denoiser.count
 
     one = run("a")
@@ -139,10 +139,10 @@ def test_a_new_image_changes_its_sequence(tmp_path: Path, monkeypatch: pytest.Mo
         words = [str(folder), "--frames", window, "--geometry", "none"]
         words += ["--out", str(tmp_path / window)]
         use(monkeypatch, Smoothing())
-        assert command.main(words) == 0
+        assert options.main(words) == 0
         write(folder / "f5.png", frames[5] / np.float32(255))
         denoiser = use(monkeypatch, Smoothing())
-        assert command.main(words) == 0
+        assert options.main(words) == 0
         assert denoiser.count >= expected
         assert (denoiser.count == 1) == (expected == 1)
         assert len(rows_of(tmp_path / window)) == 6
@@ -159,16 +159,14 @@ def test_the_table_says_what_became_of_each_file(
     sources = [str(tmp_path / name) for name in ("a.npy", "b.avi", "c")]
     out = tmp_path / "out"
     words = ["--frames", "3", "--geometry", "none", "--out", str(out)]
-    assert command.main([*sources, *words]) == 0
+    assert options.main([*sources, *words]) == 0
     rows = rows_of(out)
     assert len(rows) == 2 + FRAMES
     assert rows["a.npy"]["frames"] == "12"
     assert rows["b.avi"]["colour_maps"] == "jet"
     assert rows["b.avi"]["repeated_frames"] == "1"
     assert 1 < float(rows["f00.png"]["fused_frames"]) <= 3
-    assert rows["a.npy"]["strength_measured_on"] in ("1", "2")
-    assert "too few" in rows["a.npy"]["warnings"]
-    assert rows["b.avi"]["warnings"] == ""
+    assert int(rows["a.npy"]["strength_measured_on"]) > 3
     said = capsys.readouterr().out.splitlines()
     for name in ("a.npy: 12 frames", "b.avi: 44 frames", "f00.png to f43.png: 44 frames"):
         assert sum(line.startswith(name) for line in said) == 1

@@ -16,7 +16,7 @@ from simnfnd.factory.common.array_types import Float32s
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.files import explain_os_errors, space, write_atomically
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.models.denoise import command, writers
+from simnfnd.models.denoise import command, options, writers
 from simnfnd.models.denoise.journal import JOURNAL_NAME, opened_journal
 from simnfnd.models.denoise.reports import TABLE
 from simnfnd.models.recordings.inputs import InputFile, items_below
@@ -85,14 +85,14 @@ def test_what_is_done_is_skipped_by_the_next_run(
         capsys.readouterr().err
     )
     use(monkeypatch, None)
-    assert command.main(words) == 0
+    assert options.main(words) == 0
     assert f"already denoised: {len(done)} file(s)" in capsys.readouterr().out
     assert len(list(out.glob("*.png"))) == 12
     assert all((out / name).stat().st_mtime_ns == time for name, time in done.items())
     # A run that came to its end is done again where that is asked for.
     for more, count in (([], 0), (["--again"], 12)):
         again = use(monkeypatch, None)
-        assert command.main([*words, *more]) == 0
+        assert options.main([*words, *more]) == 0
         assert again.count >= count
         assert (again.count == 0) == (count == 0)
 
@@ -164,9 +164,9 @@ def test_a_second_run_into_the_same_folder_is_refused(
         others.begin([[InputFile(tmp_path / "b.png", Path("b.png"))]], in_time=True)
         before = sorted(path.name for path in out.iterdir())
         with pytest.raises(FactoryError, match=rf"--out .*: process {os.getpid()}"):
-            command.main(words)
+            options.main(words)
         assert sorted(path.name for path in out.iterdir()) == before
-    assert command.main(words) == 0
+    assert options.main(words) == 0
     assert sorted(path.name for path in out.iterdir()) == [JOURNAL_NAME, "a.png", TABLE]
 
 
@@ -198,9 +198,9 @@ def test_another_command_begins_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
     words = [str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--geometry", "none"]
     use(monkeypatch, 3)
     with pytest.raises(KeyboardInterrupt):
-        command.main([*words, "--frames", "1"])
+        options.main([*words, "--frames", "1"])
     anew = use(monkeypatch, None)
-    assert command.main([*words, "--frames", "1", "--compare"]) == 0
+    assert options.main([*words, "--frames", "1", "--compare"]) == 0
     assert anew.count == 4
 
 
@@ -219,14 +219,14 @@ def test_a_video_that_is_stopped_leaves_nothing(
     words = [str(source), "--out", str(out), "--geometry", "none", "--frames", "1"]
     use(monkeypatch, 5)
     with pytest.raises(KeyboardInterrupt):
-        command.main(words)
+        options.main(words)
     assert [path.name for path in out.iterdir() if path.name[0] != "."] == []
     # What a killed run left is no input, and goes with the next one.
     left = out / f".a.avi.{space()}-99999999-0123456789abcdef.tmp"
     left.write_bytes(b"half")
     assert items_below(out, tmp_path / "elsewhere") == []
     use(monkeypatch, None)
-    assert command.main(words) == 0
+    assert options.main(words) == 0
     assert sorted(path.name for path in out.iterdir()) == [JOURNAL_NAME, "a.avi", TABLE]
 
 
@@ -241,7 +241,7 @@ def test_no_input_is_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for out, compare in ((folder, []), (folder.parent, ["--compare"])):
         words = [*map(str, images), "--out", str(out), *compare]
         with pytest.raises(FactoryError, match="overwrite"):
-            command.main(words)
+            options.main(words)
     assert [image.read_bytes() for image in images] == [before] * 2
     assert sorted(folder.iterdir()) == images
     assert list(folder.parent.iterdir()) == [folder]
@@ -253,6 +253,6 @@ def test_sheets_of_one_name_are_kept_apart(tmp_path: Path, monkeypatch: pytest.M
     use(monkeypatch, None)
     out = tmp_path / "out"
     words = [str(tmp_path / "in"), "--out", str(out), "--compare", "--geometry", "none"]
-    assert command.main(words) == 0
+    assert options.main(words) == 0
     names = sorted(path.name for path in (out / "compare").iterdir())
     assert names == ["a.bmp.png", "a.png", "a.tif.png"]
