@@ -3,10 +3,10 @@
     from simnfnd import PairDataset, denoise, make_dataset, make_pair, open_recording
 
 PairDataset reads a dataset (numpy and h5py are enough), `make_dataset` makes one, `make_pair` makes
-a pair of an RGBD frame in memory.  `denoise` takes an image in memory, `Denoiser` the frames of a
-live sonar; `detect` and `Detector` find objects in them.  `open_recording` reads the frames of a
-sonar's recording (docs/python.md).  What a caller can correct is a FactoryError, one line; a frame
-that cannot be used is a FrameError.
+a pair of an RGBD frame in memory, and `Sonar` pings at any `Pose` of a scene.  `denoise` takes an
+image in memory, `Denoiser` the frames of a live sonar; `detect` and `Detector` find objects in
+them.  `open_recording` reads the frames of a sonar's recording (docs/python.md).  What a caller can
+correct is a FactoryError, one line; a frame that cannot be used is a FrameError.
 
 Each name is imported when it is first used, so `import simnfnd` costs nothing.
 """
@@ -28,11 +28,13 @@ if TYPE_CHECKING:
     from .factory.dataset import PairDataset
     from .factory.dataset.fan_geometry import FanGeometry
     from .factory.dataset.schema import Pair
+    from .factory.simulation.pairs.pings import Ping, Pose
     from .live import Denoiser
     from .making import DatasetResult, make_dataset, make_pair
     from .models.data.pair_stream import PairStream
     from .models.detection.objects import DetectedObject
     from .models.recordings.base import Beams
+    from .pinging import Sonar
 
 __path__ = search_path(Path(__file__).parent)
 
@@ -49,8 +51,11 @@ __all__ = [
     "Pair",
     "PairDataset",
     "PairStream",
+    "Ping",
+    "Pose",
     "RecordedFrame",
     "RunProgress",
+    "Sonar",
     "__version__",
     "denoise",
     "detect",
@@ -72,8 +77,11 @@ _MODULES = {
     "Pair": "factory.dataset.schema",
     "PairDataset": "factory.dataset",
     "PairStream": "models.data.pair_stream",
+    "Ping": "factory.simulation.pairs.pings",
+    "Pose": "factory.simulation.pairs.pings",
     "RecordedFrame": "api",
     "RunProgress": "factory.common.progress",
+    "Sonar": "pinging",
     "__version__": "factory",
     "denoise": "api",
     "detect": "detecting",

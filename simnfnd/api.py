@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from .factory.common.array_types import Array, Float32s
-from .python_words import in_python_words
 
 if TYPE_CHECKING:
     from .factory.dataset.fan_geometry import FanGeometry
@@ -202,9 +201,8 @@ def _loaded_denoiser(
         raise ValueError(f"strength={strength}: expected 0 to 1")
     if not (1 <= frames <= _MOST_FRAMES and frames % 2):
         raise ValueError(f"frames={frames}: expected an odd number from 1 to {_MOST_FRAMES}")
-    with in_python_words():
-        path = find_weights(weights)
-        return _denoiser(path, path.stat().st_mtime_ns, device)
+    path = find_weights(weights)
+    return _denoiser(path, path.stat().st_mtime_ns, device)
 
 
 def _checked_geometry(
@@ -329,11 +327,6 @@ class RecordedFrame:
 
         return polar_geometry(self.frame.beams, len(self.frame.samples))
 
-    @property
-    def picture(self) -> Array:
-        """`image` by its name of version 0.4."""
-        return self.image
-
 
 class OpenRecording:
     """An opened recording: iterate, index or measure it; close it, or use it in `with`."""
@@ -343,8 +336,7 @@ class OpenRecording:
         from .models.recordings import open_recording as opened
 
         topics = (topic,) if isinstance(topic, str) else tuple(topic or ())
-        with in_python_words():
-            self._recording = opened(path, topics)
+        self._recording = opened(path, topics)
         self._trackers: dict[tuple[int, ...], FanTracker] = {}
 
     def __len__(self) -> int:
@@ -352,14 +344,12 @@ class OpenRecording:
 
     def __getitem__(self, number: int) -> RecordedFrame:
         """One frame, from 0.  Raises IndexError, and FrameError when it is damaged."""
-        with in_python_words():
-            return self._shown(self._recording[number])
+        return self._shown(self._recording[number])
 
     def __iter__(self) -> Iterator[RecordedFrame]:
         """All frames in order.  Raises FrameError at one that is damaged."""
-        with in_python_words():
-            for frame in self._recording:
-                yield self._shown(frame)
+        for frame in self._recording:
+            yield self._shown(frame)
 
     @property
     def warning(self) -> str:

@@ -33,7 +33,6 @@ from .models.recordings.base import SonarFrame as RecordingFrame
 from .models.recordings.extension_files import (
     RecordingEntry,
     RecordingReader,
-    check_recording_reader,
     register_recording,
 )
 
@@ -67,7 +66,6 @@ __all__ = [
     "Signal",
     "SonarPose",
     "Window",
-    "check_recording_reader",
     "checked",
     "discovery",
     "parameter",

@@ -29,6 +29,7 @@ from .classical import (
     wavelet,
 )
 from .rivals.lpmsde import lpmsde
+from .rivals.pixel2pixel import pixel2pixel
 
 Number = int | float
 Parameters = dict[str, Number]
@@ -123,6 +124,8 @@ _RIVALS = (
     Baseline("lpmsde", lpmsde, {"strength": 1.0, "levels": 3},
              {"strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1000.0), "levels": (1, 2, 3, 4, 5)},
              "IEEE Access 2023, 3335372, after the abstract"),
+    Baseline("pixel2pixel", pixel2pixel, {"steps": 300, "channels": 24},
+             {"steps": (100, 300)}, "Ma et al. 2025, TPAMI, smaller; learns each image by itself"),
 )  # fmt: skip
 
 REGISTRY: dict[str, Baseline] = {filter_.name: filter_ for filter_ in (*_FILTERS, *_RIVALS)}

@@ -82,12 +82,8 @@ class JudgedPair(ImageSubject):
         """See `Subject`; another program's image is read."""
         if not method.images_source:
             return super().denoise(method, device)
-        image = read_external_image(Path(method.images_source), names_of(self))
-        if image.shape != (shape := self.noisy_image().shape):
-            sizes = ["x".join(map(str, reversed(size))) for size in (image.shape, shape)]
-            name = names_of(self)[0]
-            raise FactoryError(f"{name}: {sizes[0]} pixels, but its pair has {sizes[1]}")
-        return Denoised(image)
+        shape = self.noisy_image().shape
+        return external_result(Path(method.images_source), names_of(self), shape)
 
     def measure(self, image: Array) -> Figures:
         """All metrics; identical images count as the PSNR of `finite_psnr`."""
@@ -206,6 +202,15 @@ def read_external_image(folder: Path, names: Sequence[str]) -> Grey:
             raise FactoryError(f"{path}: in colour; sonar images are grey, convert it first")
         image = image[..., 0]
     return grey_of(SonarFrame(0, image))
+
+
+def external_result(folder: Path, names: Sequence[str], shape: tuple[int, ...]) -> Denoised:
+    """Another program's image of a subject of this shape.  Raises FactoryError."""
+    image = read_external_image(folder, names)
+    if image.shape != shape:
+        sizes = ["x".join(map(str, reversed(size))) for size in (image.shape, shape)]
+        raise FactoryError(f"{names[0]}: {sizes[0]} pixels, but what is judged has {sizes[1]}")
+    return Denoised(image)
 
 
 def given_methods(folders: Sequence[ImagesFolder], names: Sequence[Sequence[str]]) -> list[Method]:

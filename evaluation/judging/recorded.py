@@ -55,6 +55,12 @@ class RecordedImage:
             return image, geometry
         return image, None if self.known is None else self.known.with_size(*image.shape)
 
+    def names(self) -> list[str]:
+        """Where another program's image of it may lie in a folder, without a suffix."""
+        if kind_of(self.path) == "images":
+            return [f"{self.path.parent.name}/{self.path.stem}", self.path.stem]
+        return [f"{self.path.stem}/{self.number:06d}", f"{self.number:06d}"]
+
     def settings(self) -> RecordedSettings:
         """Of the sonar, as the recording or the name states them.  Raises FactoryError."""
         return frame_settings(self.path, self.number)

@@ -15,12 +15,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ...factory.common.array_types import Array
 from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ..filters import checked, method_of
-from ..metrics.measure import Figures, Grey
+from ..metrics.measure import Grey
 from .methods import Method, network, reason
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ class Subject(ABC):
         """Run a method; whatever it raises costs the method its row."""
 
     @abstractmethod
-    def measure(self, image: Array) -> Figures:
+    def measure(self, image: Any) -> Mapping[str, Any]:
         """The figures of a denoised subject.  Raises FactoryError for a damaged one."""
 
 
@@ -94,7 +93,7 @@ class ImageSubject(Subject):
 class Denoised(NamedTuple):
     """What a method made of a subject, in 0..1, and its seconds; NaN where nobody took them."""
 
-    image: Array
+    image: Any
     seconds: float = math.nan
 
 
@@ -114,7 +113,7 @@ class JudgingTask:
 class MethodResult(NamedTuple):
     """What a method gave: figures and images by number of the image."""
 
-    figures: dict[int, Figures]
+    figures: dict[int, dict[str, Any]]
     images: dict[int, Grey]
 
 
@@ -126,7 +125,7 @@ class Measured:
     absent.  lost: label -> why there are none at all.  images: (label, number) -> what was kept.
     """
 
-    figures: dict[str, dict[int, Figures]] = field(default_factory=dict)
+    figures: dict[str, dict[int, dict[str, Any]]] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
     images: dict[tuple[str, int], Grey] = field(default_factory=dict)
 
@@ -158,7 +157,7 @@ class Measured:
 
     def median_seconds(self, label: str) -> float:
         """Median time of a method for an image; the first one loads and compiles."""
-        return median(figures[SECONDS] for figures in self.figures[label].values())
+        return median(float(figures[SECONDS]) for figures in self.figures[label].values())
 
 
 def run(

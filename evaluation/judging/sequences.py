@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ...models.denoise.temporal.stream import InTime, SequenceFrame
-from ..filters import Parameters, method_of
+from ..filters import method_of
 from ..filters.windows import mean_around, registered_mean
 from ..metrics.measure import Grey
 from .methods import Method, network
@@ -20,9 +20,9 @@ How = Literal["single", "fusion", "mean", "registered mean"]
 class SequenceMethod(Method):
     """A row of a sequence, whose name is its label.
 
-    how: single (each frame alone by the network), fusion (frames are fused, and denoised where
-    there are weights), or a mean of frames, followed by the filter `after` with `parameters`.
-    window: number of frames that are fused or averaged, odd.
+    how: single (each frame alone), fusion or a mean of frames.  window: frames that are fused or
+    averaged, odd.  weights: of the network that denoises single or fused frames.
+    after: the filter that follows, with `parameters`.
     """
 
     how: How = "single"
@@ -38,17 +38,17 @@ class SequenceMethod(Method):
 def denoise_frames(method: SequenceMethod, frames: Grey, device: str, fold: int = 0) -> Grey:
     """(N, H, W) float32 in 0..1: what a method makes of the frames (N, H, W) of a sequence."""
     model = network(method.weights, device) if method.weights else None
+    images = list(frames)
     if method.how == "fusion":
         stream = InTime(model, frames=method.window)
         sequence = (SequenceFrame(number, frame) for number, frame in enumerate(frames))
-        return np.stack([result.levels for result in stream(sequence)])
-    if method.how == "single":
-        assert model is not None
-        return np.stack([model(frame, None) for frame in frames])
-    mean = mean_around if method.how == "mean" else registered_mean
-    means = [mean(frames, number, method.window // 2) for number in range(len(frames))]
-    return np.stack([_filtered(image, method, method.parameters_of(fold)) for image in means])
-
-
-def _filtered(image: Grey, method: SequenceMethod, parameters: Parameters) -> Grey:
-    return method_of(method.after)(image, parameters) if method.after else image
+        images = [result.levels for result in stream(sequence)]
+    elif model is not None:
+        images = [model(frame, None) for frame in frames]
+    elif method.how != "single":
+        mean = mean_around if method.how == "mean" else registered_mean
+        images = [mean(frames, number, method.window // 2) for number in range(len(frames))]
+    if method.after:
+        filter_of_row = method_of(method.after)
+        images = [filter_of_row(image, method.parameters_of(fold)) for image in images]
+    return np.stack(images)

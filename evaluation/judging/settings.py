@@ -98,6 +98,7 @@ class RealSettings(ReportSettings):
 
     real: Annotated[str, Field(min_length=1)]
     models: list[str]
+    pictures: list[ImagesFolder]
     groups: bool
     limit: Annotated[int, Field(ge=4, le=10_000_000)] | None
     in_time: Shown

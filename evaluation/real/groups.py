@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -18,8 +19,10 @@ from ...models.recordings.fan_finder import find_geometry
 from ...models.recordings.fan_tracking import FanTracker
 from ...models.recordings.repeats import CopyFinder
 from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
+from ..judging.methods import Method
+from ..judging.pairs import external_result
 from ..judging.recorded import RecordedImage, Stretch, outline
-from ..judging.runner import ImageSubject
+from ..judging.runner import Denoised, ImageSubject
 from ..metrics.fidelity import MetricError
 from ..metrics.measure import Figures, Grey, MeasuredImage, likeness
 from ..metrics.statistics import evenly
@@ -84,6 +87,12 @@ class JudgedFrame(ImageSubject):
     def geometry(self) -> FanGeometry | None:
         """See `ImageSubject`."""
         return self.known
+
+    def denoise(self, method: Method, device: str) -> Denoised:
+        """See `Subject`; another program's image is read."""
+        if not method.images_source:
+            return super().denoise(method, device)
+        return external_result(Path(method.images_source), self.shot.names(), self.noisy.shape)
 
     def measure(self, image: Array) -> Figures:
         """Likeness to the reference, if there is one, and the figures without a truth."""

@@ -16,6 +16,7 @@ from ..filters import Baseline
 from ..judging import tuning
 from ..judging.learned import learned_notes
 from ..judging.methods import NOISY, Method, baselines_of, networks_at
+from ..judging.pairs import given_methods
 from ..judging.recorded import RecordedImage, Stretch
 from ..judging.runner import Measured, Subject, run
 from ..judging.settings import RealSettings
@@ -75,7 +76,8 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
         shots = evenly(shots, settings.limit)
         filters = [Method(baseline.name, "", dict(baseline.default)) for baseline in baselines]
         group_of_image = np.arange(len(shots))
-    methods = [NOISY, *filters, *networks]
+    given = given_methods(settings.pictures, [shot.names() for shot in shots])
+    methods = [NOISY, *filters, *networks, *given]
     measured, examples = _measure(settings, groups, parts, shots, methods, lost, pool)
 
     figures = measured.wide(group_of_image.tolist())
@@ -84,7 +86,9 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     estimator = Estimator(figures, names, settings.bootstrap, settings.seed)
     rows = rows_of(methods, measured, estimator)
     best = _best_filters(rows)
-    compare_rows(rows, "against_best", ("noisy", "baseline", "network"), best, estimator)
+    compare_rows(
+        rows, "against_best", ("noisy", "baseline", "network", "pictures"), best, estimator
+    )
     in_time = judged_in_time(settings, groups, networks, pool)
     notes = [*warnings, *notes, *in_time.notes]
     return RealOutcome(groups, parts, shots, rows, measured, examples, best, in_time, notes)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,28 +12,32 @@ from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
 from ...factory.common.progress import Bar
 from ...factory.common.seeds import stream
-from ...factory.common.workers.tasks import TaskLost, TaskPool
+from ...factory.common.workers.tasks import TaskPool
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..judging.learned import learned_notes
-from ..judging.methods import baselines_of, networks_at, reason, shown
+from ..judging.methods import Method, baselines_of, networks_at, shown
 from ..judging.recorded import Stretch
+from ..judging.runner import Denoised, Measured, Subject, run
+from ..judging.sequences import SequenceMethod
 from ..judging.settings import TargetsSettings
 from ..metrics.measure import Figures, Grey, ratio_figures
 from ..metrics.statistics import evenly
-from .detector import Responses, real_motion, responses_of
+from .detector import real_motion, responses_of
 from .recording import StaticRecording, open_static
-from .rows import REACH, RECORDED, MethodRow, Stored, denoise_sequence, rows_of
+from .rows import REACH, RECORDED, Stored, denoise_stored, rows_of
 from .scores import Answers, MethodFigures, figures_of
-from .targets import Sighting, Track, TrackPlan, classes_of, draw_tracks, insert_targets
+from .targets import Frames, Sighting, Track, TrackPlan, classes_of, draw_tracks, insert_targets
 
 _RATIO_FRAMES = 5  # frames of a sequence whose ratio images are measured
 
 
 @dataclass(frozen=True, eq=False)
-class TwinSequences:
+class TwinSequences(Subject):
     """A recording with targets, its twin without, and what both are judged by.
 
+    fold: number of the recording.
     with_targets, without: as the recording stores frames.  motion: (N, H, W) bool, real motion.
+    example_frames: numbers of the frames whose denoised images the report shows.
     """
 
     name: str
@@ -45,11 +48,44 @@ class TwinSequences:
     tracks: tuple[Track, ...]
     insonified: Bools
     motion: Bools
+    fold: int = 0
+    example_frames: tuple[int, ...] = ()
+
+    @property
+    def images(self) -> int:
+        """See `Subject`."""
+        return 2 * len(self.with_targets)
 
     @property
     def judged(self) -> range:
         """Numbers of the frames whose sightings count: those with a whole window."""
         return range(REACH + 1, len(self.with_targets) - REACH - 1)
+
+    def load(self) -> None:
+        """See `Subject`; the frames are there."""
+
+    def denoise(self, method: Method, device: str) -> Denoised:
+        """See `Subject`: both sequences."""
+        assert isinstance(method, SequenceMethod)
+        twins = (
+            denoise_stored(method, stored, self.full_scale, self.geometry, device, self.fold)
+            for stored in (self.with_targets, self.without)
+        )
+        return Denoised(tuple(twins))
+
+    def measure(self, image: tuple[Frames, Frames]) -> dict[str, Any]:
+        """The answers of the detectors, mean figures of ratio images, and images to show."""
+        with_targets, without = image
+        responses = responses_of(
+            with_targets, without, self.tracks, self.insonified, self.motion, self.judged
+        )
+        scale = np.float32(self.full_scale)
+        ratios = [
+            ratio_figures(self.with_targets[n] / scale, with_targets[n], self.insonified)
+            for n in evenly(self.judged, _RATIO_FRAMES)
+        ]
+        images = {n: TwinImages(with_targets[n], without[n]) for n in self.example_frames}
+        return {"responses": responses, "ratio": _mean_figures(ratios), "images": images}
 
 
 class TwinImages(NamedTuple):
@@ -59,8 +95,7 @@ class TwinImages(NamedTuple):
     without: Grey
 
 
-@dataclass(frozen=True, eq=False)
-class SightingExample:
+class SightingExample(NamedTuple):
     """A sighting that the report shows.  images: label of a row -> its images of the frame."""
 
     sequence_number: int
@@ -85,39 +120,6 @@ class DetectionOutcome:
     notes: list[str]
 
 
-@dataclass(frozen=True, eq=False)
-class DetectionTask:
-    """A row to run on one pair of sequences; it travels to a worker.
-
-    example_frames: numbers of the frames whose denoised images come back.
-    """
-
-    sequence_number: int
-    row: MethodRow
-    twins: TwinSequences
-    device: str
-    example_frames: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class DetectionResult:
-    """What a row gave on one pair of sequences.
-
-    responses: None if the row failed; `lost` gives the reason.
-    images: number of a frame -> its images.
-    ratio: figures of the ratio images, means over some frames.
-    """
-
-    responses: Responses | None
-    images: dict[int, TwinImages] = field(default_factory=dict)
-    ratio: Figures = field(default_factory=dict)
-    lost: str = ""
-
-
-Results = dict[tuple[int, str], DetectionResult]
-"""(number of the sequences, label of the row) -> result."""
-
-
 def judge(
     settings: TargetsSettings, stretches: Sequence[Stretch], pool: TaskPool
 ) -> DetectionOutcome:
@@ -125,69 +127,55 @@ def judge(
     networks = networks_at(settings.models)
     recordings, notes = _static_recordings(stretches, settings.limit)
     notes += learned_notes(stretches, networks)
-    sequences: list[TwinSequences] = []
-    rows_of_sequence: list[list[MethodRow]] = []
-    for recording in recordings:
-        rows = rows_of(
-            recording.frames,
-            recording.insonified,
-            fixed=settings.fixed,
-            tuned=baselines_of(settings.baselines),
-            networks=networks,
-            windows=settings.frames,
-        )
-        notes.append(_tuning_note(recording.name, rows))
-        for repeat in range(settings.repeats):
-            sequences.append(_insert_tracks(recording, settings, repeat))
-            rows_of_sequence.append(rows)
-
+    rows = rows_of(
+        recordings,
+        fixed=settings.fixed,
+        tuned=baselines_of(settings.baselines),
+        networks=networks,
+        windows=settings.frames,
+    )
+    notes += [_tuning_note(recording.name, n, rows) for n, recording in enumerate(recordings)]
+    sequences = [
+        _insert_tracks(recording, settings, fold, repeat)
+        for fold, recording in enumerate(recordings)
+        for repeat in range(settings.repeats)
+    ]
     examples = _choose_examples(sequences, settings)
-    tasks: list[DetectionTask] = []
-    for number, (twins, rows) in enumerate(zip(sequences, rows_of_sequence, strict=True)):
-        frames = {
-            example.sighting.frame for example in examples if example.sequence_number == number
-        }
-        tasks += [DetectionTask(number, row, twins, settings.device, tuple(frames)) for row in rows]
-    results, lost = _run_tasks(tasks, pool, settings.image_timeout_s * len(recordings[0].frames))
+    subjects = {
+        number: replace(
+            twins,
+            example_frames=tuple(
+                example.sighting.frame for example in examples if example.sequence_number == number
+            ),
+        )
+        for number, twins in enumerate(sequences)
+    }
+    # The slowest first, so that no worker is left with it at the end.
+    order = sorted(rows, key=lambda row: (row.weights is None, -row.window))
+    with Bar(total=len(rows) * len(sequences), unit="row", desc="detecting") as bar:
+        measured = run(
+            order,
+            [subjects],
+            pool,
+            device=settings.device,
+            timeout_s=settings.image_timeout_s,
+            tick=bar.update,
+        )
+    if RECORDED.label in measured.lost:
+        reason = measured.lost[RECORDED.label]
+        raise FactoryError(f"the recorded frames cannot be judged: {reason}")
 
-    every_label = dict.fromkeys(task.row.label for task in tasks)
-    labels = [label for label in every_label if label not in lost]
+    labels = [row.label for row in rows if row.label not in measured.lost]
     for example in examples:
         for label in labels:
-            images = results[example.sequence_number, label].images
+            images = measured.figures[label][example.sequence_number]["images"]
             example.images[label] = images[example.sighting.frame]
     ratios = {
-        label: _mean_figures([results[number, label].ratio for number in range(len(sequences))])
+        label: _mean_figures([result["ratio"] for result in measured.figures[label].values()])
         for label in labels
     }
-    figures = {label: _row_figures(label, results, sequences, settings) for label in labels}
-    return DetectionOutcome(sequences, figures, ratios, lost, examples, notes)
-
-
-def run_row(task: DetectionTask) -> DetectionResult:
-    """Denoise both sequences and ask the detectors; or say why the row failed."""
-    twins = task.twins
-    try:
-        with_targets, without = (
-            denoise_sequence(task.row, stored, twins.full_scale, twins.geometry, task.device)
-            for stored in (twins.with_targets, twins.without)
-        )
-    except Exception as error:  # a method that crashes loses its row, not the report
-        return DetectionResult(None, lost=reason(error))
-    responses = responses_of(
-        with_targets, without, twins.tracks, twins.insonified, twins.motion, twins.judged
-    )
-    images = {
-        number: TwinImages(with_targets[number], without[number]) for number in task.example_frames
-    }
-    full_scale = np.float32(twins.full_scale)
-    ratios = [
-        ratio_figures(
-            twins.with_targets[number] / full_scale, with_targets[number], twins.insonified
-        )
-        for number in evenly(twins.judged, _RATIO_FRAMES)
-    ]
-    return DetectionResult(responses, images, _mean_figures(ratios))
+    figures = {label: _row_figures(label, measured, sequences, settings) for label in labels}
+    return DetectionOutcome(sequences, figures, ratios, measured.lost, examples, notes)
 
 
 def _mean_figures(figures: Sequence[Figures]) -> Figures:
@@ -213,7 +201,7 @@ def _static_recordings(
 
 
 def _insert_tracks(
-    recording: StaticRecording, settings: TargetsSettings, repeat: int
+    recording: StaticRecording, settings: TargetsSettings, fold: int, repeat: int
 ) -> TwinSequences:
     """A recording with targets, and its twin.  Raises FactoryError where no track finds room."""
     plan = TrackPlan(
@@ -234,6 +222,7 @@ def _insert_tracks(
     twin_frames = without.astype(np.float32) / np.float32(recording.full_scale)
     return TwinSequences(
         name=recording.name,
+        fold=fold,
         with_targets=recording.stored(inserted.with_targets),
         without=without,
         full_scale=recording.full_scale,
@@ -261,44 +250,22 @@ def _choose_examples(
     return examples
 
 
-def _tuning_note(name: str, rows: Sequence[MethodRow]) -> str:
+def _tuning_note(name: str, fold: int, rows: Sequence[SequenceMethod]) -> str:
     """Which parameters the tuned rows of a recording have."""
-    tuned = [row for row in rows if row.kind != "filter" or row.label.endswith("tuned")]
-    texts = [row.label + shown(row.parameters) for row in tuned if row.parameters]
+    texts = [row.label + shown(row.parameters_of(fold)) for row in rows if row.folds]
     return f"{name}: tuned to the recording without targets: {'; '.join(texts)}"
 
 
-def _run_tasks(
-    tasks: Sequence[DetectionTask], pool: TaskPool, timeout_s: float
-) -> tuple[Results, dict[str, str]]:
-    """The results; and label -> why a row is lost."""
-    results: Results = {}
-    lost: dict[str, str] = {}
-    # The slowest first, so that no worker is left with it at the end.
-    waiting = deque(sorted(tasks, key=lambda task: (-task.row.frames, task.row.kind != "network")))
-    with Bar(total=len(tasks), unit="row", desc="detecting") as bar:
-        for task, result in pool.run(run_row, waiting, lambda _: timeout_s):
-            bar.update()
-            if isinstance(result, TaskLost):
-                lost.setdefault(task.row.label, result.reason)
-            elif result.responses is None:
-                lost.setdefault(task.row.label, result.lost)
-            else:
-                results[task.sequence_number, task.row.label] = result
-    if RECORDED.label in lost:
-        raise FactoryError(f"the recorded frames cannot be judged: {lost[RECORDED.label]}")
-    return results, lost
-
-
 def _row_figures(
-    label: str, results: Results, sequences: Sequence[TwinSequences], settings: TargetsSettings
+    label: str, measured: Measured, sequences: Sequence[TwinSequences], settings: TargetsSettings
 ) -> MethodFigures:
-    answers = []
-    for number, twins in enumerate(sequences):
-        denoised = results[number, label].responses
-        recorded = results[number, RECORDED.label].responses
-        assert denoised is not None
-        assert recorded is not None
-        answers.append(Answers(twins.tracks, denoised, recorded))
+    answers = [
+        Answers(
+            twins.tracks,
+            measured.figures[label][number]["responses"],
+            measured.figures[RECORDED.label][number]["responses"],
+        )
+        for number, twins in enumerate(sequences)
+    ]
     classes = classes_of(settings.sizes, settings.contrasts)
     return figures_of(answers, classes, resamples=settings.bootstrap, seed=settings.seed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ...factory.common.errors import FactoryError
@@ -13,7 +13,7 @@ from ..judging.recorded import Stretch, frame_of, open_input
 from ..judging.settings import TargetsSettings
 from ..metrics.statistics import FigureEstimate
 from ..report.document import Drawing, Section, publish
-from ..report.tables import as_table, figure, plain, written
+from ..report.tables import figure, plain, table_of, written
 from .judge import DetectionOutcome, judge
 from .scores import CURVE_ALARMS, CURVE_RATES, ClassFigures, MethodFigures
 from .sheet import crop_sheet
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA = "simnfnd-targets/1"
+
+_ALARMS = "false alarms per frame"
 
 HOW = (
     "Targets of known position are inserted into the recording: ellipses of the smoothed scene, "
@@ -95,40 +97,47 @@ def write(settings: TargetsSettings, outcome: DetectionOutcome) -> None:
 
 def overall_table(outcome: DetectionOutcome) -> pd.DataFrame:
     """Means over classes with their intervals, a line for each method."""
-    head = [
-        "method", "AUC", "contrast", "detection", "against recorded", "false alarms per frame",
-        "ratio correlation",
-    ]  # fmt: skip
-    lines = []
-    for label, figures in outcome.figures.items():
-        overall = figures.overall
-        cells = [
-            figure(overall.auc),
-            figure(overall.contrast),
-            figure(overall.detection),
-            figure(overall.detection_gain, sign=True),
-            figure(figures.false_alarms),
-            written(outcome.ratios[label]["ratio_correlation"], 3),
-        ]
-        lines.append([label, *cells])
-    for label, reason in outcome.lost.items():
-        lines.append([label, f"lost: {reason}", "", "", "", "", ""])
-    return as_table(head, lines)
+    return table_of(
+        _table_rows(outcome),
+        {
+            "AUC": lambda row: figure(row["figures"].overall.auc),
+            "contrast": lambda row: figure(row["figures"].overall.contrast),
+            "detection": lambda row: figure(row["figures"].overall.detection),
+            "against recorded": lambda row: figure(
+                row["figures"].overall.detection_gain, sign=True
+            ),
+            _ALARMS: lambda row: figure(row["figures"].false_alarms),
+            "ratio correlation": lambda row: written(
+                outcome.ratios[row["label"]]["ratio_correlation"], 3
+            ),
+        },
+    )
 
 
 def class_table(settings: TargetsSettings, outcome: DetectionOutcome) -> pd.DataFrame:
     """AUC / contrast / detection of each class, a line for each method."""
+
+    def cell_of(number: int) -> Callable[[Mapping[str, Any]], str]:
+        return lambda row: " / ".join(
+            written(estimate.value, 2) for estimate in row["figures"].by_class[number][:3]
+        )
+
     classes = classes_of(settings.sizes, settings.contrasts)
-    head = ["AUC / contrast / detection", *(target.label for target in classes)]
-    lines = [
-        [label, *map(_class_cell, figures.by_class)] for label, figures in outcome.figures.items()
+    columns = {target.label: cell_of(number) for number, target in enumerate(classes)}
+    columns[_ALARMS] = lambda row: written(row["figures"].false_alarms.value, 2)
+    alive = [row for row in _table_rows(outcome) if row["lost"] is None]
+    return table_of(alive, columns, "AUC / contrast / detection")
+
+
+def _table_rows(outcome: DetectionOutcome) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = [
+        {"label": label, "parameters": [], "lost": None, "figures": figures}
+        for label, figures in outcome.figures.items()
     ]
-    return as_table(head, lines)
-
-
-def _class_cell(figures: ClassFigures) -> str:
-    estimates = (figures.auc, figures.contrast, figures.detection)
-    return " / ".join(written(estimate.value, 2) for estimate in estimates)
+    lost = [
+        {"label": label, "parameters": [], "lost": reason} for label, reason in outcome.lost.items()
+    ]
+    return [*rows, *lost]
 
 
 def _plots(figures: dict[str, MethodFigures]) -> Sequence[Plot]:

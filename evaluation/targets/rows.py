@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.common.array_types import Bools
 from ...factory.common.errors import FactoryError
 from ...factory.dataset.fan_geometry import FanGeometry
 from ...models.denoise.images import Denoising
 from ...models.denoise.temporal.stream import SequenceFrame
-from ..filters import REGISTRY, Baseline, Parameters, method_of
-from ..filters.windows import mean_around, registered_mean
+from ..filters import REGISTRY, Baseline, Parameters
 from ..judging import tuning
 from ..judging.methods import Method, network, shown
+from ..judging.sequences import SequenceMethod, denoise_frames
 from ..real.in_time import static_input, tuning_images
+from .recording import StaticRecording
 from .targets import Frames
 
 REACH = 3
@@ -28,77 +27,63 @@ _TUNED_ON = 3  # frames
 Stored = npt.NDArray[np.unsignedinteger]
 """(N, H, W) frames as a recording stores them."""
 
-
-@dataclass(frozen=True)
-class MethodRow:
-    """A method as the benchmark runs it.
-
-    kind: recorded, filter, mean, registered mean or network.
-    name: in the registry, of the filter, or of the filter that follows a mean.
-    parameters: of that filter; {}: none follows the mean.
-    weights: file of a network.  frames: length of its window.
-    """
-
-    label: str
-    kind: str
-    name: str = ""
-    parameters: Parameters = field(default_factory=dict)
-    weights: str = ""
-    frames: int = 1
-
-
-RECORDED = MethodRow("recorded", "recorded")
+RECORDED = SequenceMethod("recorded", "", {})
 
 
 def rows_of(
-    frames: Frames,
-    insonified: Bools,
+    recordings: Sequence[StaticRecording],
     *,
     fixed: Sequence[dict[str, Parameters]],
     tuned: Sequence[Baseline],
     networks: Sequence[Method],
     windows: Sequence[int],
-) -> list[MethodRow]:
-    """All rows of a recording.
+) -> list[SequenceMethod]:
+    """All rows; the fold of a filter that is tuned is the number of the recording.
 
-    frames: (N, H, W) in 0..1 without targets; filters are tuned on them where they are insonified,
-    (H, W) bool.
     fixed: filters with their parameters.  windows: numbers of frames that the networks fuse.
     Raises FactoryError for a filter that does not exist or cannot be tuned.
     """
-    static = static_input(frames, insonified)
-    samples = tuple(tuning_images(static, _TUNED_ON))
+    window = 2 * REACH + 1
     rows = [RECORDED]
     for filters in fixed:
         rows += [_fixed_filter(name, parameters) for name, parameters in filters.items()]
     for baseline in tuned:
-        parameters = _tuned(baseline.name, samples)
-        rows.append(MethodRow(f"{baseline.name}, tuned", "filter", baseline.name, parameters))
-    window = 2 * REACH + 1
-    tv_parameters = _tuned("tv", tuple(tuning_images(static, _TUNED_ON, REACH)))
-    rows.append(MethodRow(f"mean of {window}", "mean"))
+        points = _tuned(baseline.name, recordings, 0)
+        label = f"{baseline.name}, tuned"
+        rows.append(SequenceMethod(label, "", {}, folds=points, after=baseline.name))
+    points = _tuned("tv", recordings, REACH)
+    rows.append(SequenceMethod(f"mean of {window}", "", {}, how="mean", window=window))
+    label = f"registered mean of {window} + TV"
     rows.append(
-        MethodRow(f"registered mean of {window} + TV", "registered mean", "tv", tv_parameters)
+        SequenceMethod(
+            label, "", {}, folds=points, how="registered mean", window=window, after="tv"
+        )
     )
     for method in networks:
-        for frame_count in windows:
-            fused = "single frames" if frame_count == 1 else f"{frame_count} frames"
+        for frames in windows:
+            fused = "single frames" if frames == 1 else f"{frames} frames"
             label = f"{method.label}, {fused}"
-            rows.append(
-                MethodRow(label, "network", weights=method.weights or "", frames=frame_count)
-            )
+            rows.append(SequenceMethod(label, "", {}, weights=method.weights, window=frames))
     return rows
 
 
-def _tuned(name: str, samples: tuple[tuning.TuningImage, ...]) -> Parameters:
-    """The best parameters of a filter.  Raises FactoryError where it fails."""
-    parameters = tuning.on_frames(tuning.TuningTask(name, samples))
-    if isinstance(parameters, str):
-        raise FactoryError(f"baselines: {name} cannot be tuned: {parameters}")
-    return parameters
+def _tuned(name: str, recordings: Sequence[StaticRecording], reach: int) -> tuple[Parameters, ...]:
+    """The best parameters of a filter of each recording.  Raises FactoryError where it fails.
+
+    reach: the filter follows means over frames up to this far.
+    """
+    points = []
+    for recording in recordings:
+        static = static_input(recording.frames, recording.insonified)
+        samples = tuple(tuning_images(static, _TUNED_ON, reach))
+        point = tuning.on_frames(tuning.TuningTask(name, samples))
+        if isinstance(point, str):
+            raise FactoryError(f"baselines: {name} cannot be tuned: {point}")
+        points.append(point)
+    return tuple(points)
 
 
-def _fixed_filter(name: str, parameters: Parameters) -> MethodRow:
+def _fixed_filter(name: str, parameters: Parameters) -> SequenceMethod:
     """Raises FactoryError for a filter or parameter that does not exist."""
     if name not in REGISTRY:
         raise FactoryError(f"fixed.{name}: no such filter; there are {', '.join(REGISTRY)}")
@@ -108,36 +93,26 @@ def _fixed_filter(name: str, parameters: Parameters) -> MethodRow:
             f"fixed.{name}.{unknown[0]}: no such parameter; {name} has {', '.join(default)}"
         )
     point = {**default, **parameters}
-    return MethodRow(name + shown(point), "filter", name, point)
+    return SequenceMethod(name + shown(point), "", point, after=name)
 
 
-def denoise_sequence(
-    row: MethodRow, stored: Stored, full_scale: int, geometry: FanGeometry | None, device: str
+def denoise_stored(
+    method: SequenceMethod,
+    stored: Stored,
+    full_scale: int,
+    geometry: FanGeometry | None,
+    device: str,
+    fold: int,
 ) -> Frames:
-    """(N, H, W) float32 in 0..1: what a row makes of a sequence."""
-    if row.kind == "network":
-        return _by_network(row, stored, geometry, device) / np.float32(full_scale)
-    frames = stored.astype(np.float32) / np.float32(full_scale)
-    if row.kind == "recorded":
-        return frames
-    if row.kind == "filter":
-        return np.stack([method_of(row.name)(frame, row.parameters) for frame in frames])
-    mean = registered_mean if row.kind == "registered mean" else mean_around
-    means = (mean(frames, number, REACH) for number in range(len(frames)))
-    if not row.parameters:
-        return np.stack(list(means))
-    filtered_means = (method_of(row.name)(mean_frame, row.parameters) for mean_frame in means)
-    return np.stack(list(filtered_means))
-
-
-def _by_network(
-    row: MethodRow, stored: Stored, geometry: FanGeometry | None, device: str
-) -> Stored:
-    """A sequence denoised as by `simnfnd denoise --frames N`, in the levels it is stored in."""
-    denoising = Denoising(network(row.weights, device), frames=row.frames)
+    """(N, H, W) float32 in 0..1: a sequence denoised, by networks as `simnfnd denoise` does it."""
+    if not method.weights:
+        frames = stored.astype(np.float32) / np.float32(full_scale)
+        return denoise_frames(method, frames, device, fold)
+    denoising = Denoising(network(method.weights, device), frames=method.window)
 
     def shots() -> Iterator[SequenceFrame]:
         for number, frame in enumerate(stored):
             yield denoising.shot(number, frame, lambda _: geometry)
 
-    return np.stack([result.image for result in denoising.sequence(shots())])
+    images = [result.image for result in denoising.sequence(shots())]
+    return np.stack(images) / np.float32(full_scale)

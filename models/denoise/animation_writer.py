@@ -19,12 +19,11 @@ from PIL import Image as PillowImage
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
-from ..recordings.animations import Animation
+from ..recordings.animations import USUAL_DURATION_S, Animation
 from ..recordings.base import swapped
 from .video_writer import TimedImage
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_USUAL_DURATION_S = 0.1
 _MOST_MS = (1 << 24) - 1
 _LOSSLESS = 101  # OpenCV's quality of WebP
 
@@ -54,7 +53,7 @@ def _of_one_size(images: Iterable[TimedImage]) -> Iterator[TimedImage]:
 
 
 def _milliseconds(timed: TimedImage) -> int:
-    return min(max(1, round(1000 * (timed.duration_s or _USUAL_DURATION_S))), _MOST_MS)
+    return min(max(1, round(1000 * (timed.duration_s or USUAL_DURATION_S))), _MOST_MS)
 
 
 def _write_gif(output: IO[bytes], images: Iterable[TimedImage], source: Animation) -> None:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .bearing_view import BEARINGS, NODES, SEGMENTS
+from .bearing_view import BEARINGS, NODES, RANGES, SEGMENTS
 from .blocks import zeroed
 from .network import down_and_up
 
@@ -84,8 +84,8 @@ class _LineBlock(nn.Module):
 
 def _levels(relative: Tensor, known: Tensor) -> Tensor:
     """Mean, least, most, spread and known part of segments of range, (N, 5 segments, BEARINGS)."""
-    x = relative.unflatten(1, (SEGMENTS, -1))
-    is_known = known.unflatten(1, (SEGMENTS, -1))
+    x = _parts(relative, SEGMENTS)
+    is_known = _parts(known, SEGMENTS)
     count = is_known.sum(2).clamp_min(1)
     mean = x.sum(2) / count
     least = (x + _BRIGHTEST * (1 - is_known)).amin(2)
@@ -99,7 +99,7 @@ def _shared_fluctuation(relative: Tensor, known: Tensor) -> Tensor:
     """Correlation along range with neighbouring bearings, (N, zones x lags x 2, BEARINGS)."""
     padded = functional.pad(relative[:, None], (0, 0, _TREND_ROWS // 2, _TREND_ROWS // 2))
     trend = functional.avg_pool2d(padded, (_TREND_ROWS, 1), stride=1)[:, 0]
-    rough = ((relative - trend) * known).unflatten(1, (_ZONES, -1))
+    rough = _parts((relative - trend) * known, _ZONES)
     power = rough.square().mean(2) + 1e-4
     correlations = []
     for lag in _LAGS:
@@ -107,6 +107,11 @@ def _shared_fluctuation(relative: Tensor, known: Tensor) -> Tensor:
         shared = product / torch.sqrt(power[..., lag:] * power[..., :-lag])
         correlations += [functional.pad(shared, (0, lag)), functional.pad(shared, (lag, 0))]
     return torch.cat(correlations, dim=1)
+
+
+def _parts(plane: Tensor, count: int) -> Tensor:
+    """(N, RANGES, BEARINGS) -> (N, count, ranges of a part, BEARINGS)."""
+    return plane.reshape(-1, count, RANGES // count, BEARINGS)
 
 
 def at_pixels(nodes: Tensor, sector: Tensor, range_fraction: Tensor, azimuth_rad: Tensor) -> Tensor:

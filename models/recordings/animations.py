@@ -23,7 +23,7 @@ from .base import (
 )
 
 _FORMATS = ("GIF", "WEBP", "PNG")
-_USUAL_DURATION_S = 0.1  # where a file states none, as browsers do
+USUAL_DURATION_S = 0.1  # where a file states none, as browsers do
 
 
 def is_animated(path: Path) -> bool:
@@ -96,7 +96,7 @@ class Animation(Recording):
                 image = self._image.copy()
         except EOFError as error:
             raise Ended(f"{name} cannot be read") from error
-        duration_s = float(image.info.get("duration", 0) or 0) / 1000 or _USUAL_DURATION_S
+        duration_s = float(image.info.get("duration", 0) or 0) / 1000 or USUAL_DURATION_S
         return SonarFrame(number, _samples_of(image), duration_s=duration_s)
 
 

@@ -169,11 +169,7 @@ class Recording(ABC):
 
     def __iter__(self) -> Iterator[SonarFrame]:
         """All frames that are there, in order.  Raises FrameError at one that cannot be used."""
-        yield from self.frames_from(0)
-
-    def frames_from(self, first: int) -> Iterator[SonarFrame]:
-        """The frames from number `first` on."""
-        for number in range(first, self.count):
+        for number in range(self.count):
             try:
                 frame = self._read(number)
             except Ended:

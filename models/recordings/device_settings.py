@@ -6,7 +6,6 @@ changes: frames of unlike settings show the same scene in another way, and must 
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 
@@ -18,7 +17,12 @@ _SAME_GAIN_PERCENT = 1.0
 _SAME_PULSE = 0.02  # part of it
 _SAME_RANGE = 0.02  # part of the largest: it follows the measured speed of sound
 _IN_NAME = re.compile(r"(?<![a-z0-9])(\d+(?:\.\d+)?) ?([km]hz|db)(?![a-z])", re.IGNORECASE)
-_KHZ_OF_UNIT = {"khz": 1.0, "mhz": 1000.0}
+_TEXTS = {
+    "sequence": "{}", "head": "{}", "frequency_khz": "{:.4g} kHz", "gain_db": "gain {:.4g} dB",
+    "gain_percent": "gain {:.4g} %", "pulse_us": "pulse {:.4g} us", "range_min_m": "from {:.4g} m",
+    "range_max_m": "to {:.4g} m", "beams": "{} beams",
+}  # fmt: skip
+"""Field -> how its value is said."""
 
 
 @dataclass(frozen=True)
@@ -41,32 +45,41 @@ class RecordedSettings:
 
     def is_like(self, other: RecordedSettings) -> bool:
         """Whether frames of both may be fused."""
-        if (self.sequence, self.head, self.beams) != (other.sequence, other.head, other.beams):
-            return False
-        range_m = max(self.range_max_m or 0.0, other.range_max_m or 0.0)
-        return (
-            _is_near(self.frequency_khz, other.frequency_khz, share=_SAME_FREQUENCY)
-            and _is_near(self.pulse_us, other.pulse_us, share=_SAME_PULSE)
-            and _is_near(self.gain_db, other.gain_db, difference=_SAME_GAIN_DB)
-            and _is_near(self.gain_percent, other.gain_percent, difference=_SAME_GAIN_PERCENT)
-            and _is_near(self.range_min_m, other.range_min_m, difference=_SAME_RANGE * range_m)
-            and _is_near(self.range_max_m, other.range_max_m, difference=_SAME_RANGE * range_m)
-        )
+        return not self._unlike(other)
 
     def differences(self, other: RecordedSettings) -> list[str]:
         """What is stated and unlike in another one, such as `750 kHz`."""
-        texts = {
-            "sequence": self.sequence,
-            "head": self.head,
-            "frequency_khz": f"{self.frequency_khz:.4g} kHz" if self.frequency_khz else "",
-            "pulse_us": f"pulse {self.pulse_us:.4g} us" if self.pulse_us else "",
-            "gain_db": "" if self.gain_db is None else f"gain {self.gain_db:.4g} dB",
-            "gain_percent": "" if self.gain_percent is None else f"gain {self.gain_percent:.4g} %",
-            "range_min_m": "" if self.range_min_m is None else f"from {self.range_min_m:.4g} m",
-            "range_max_m": "" if self.range_max_m is None else f"to {self.range_max_m:.4g} m",
-            "beams": f"{self.beams} beams" if self.beams else "",
+        values = {field: getattr(self, field) for field in self._unlike(other)}
+        return [
+            _TEXTS[field].format(value)
+            for field, value in values.items()
+            if value not in (None, "")
+        ]
+
+    def _unlike(self, other: RecordedSettings) -> list[str]:
+        """The fields whose values are further apart than devices state them."""
+        range_m = max(self.range_max_m or 0.0, other.range_max_m or 0.0)
+        frequency_khz = max(self.frequency_khz or 0.0, other.frequency_khz or 0.0)
+        pulse_us = max(self.pulse_us or 0.0, other.pulse_us or 0.0)
+        tolerances = {
+            "frequency_khz": _SAME_FREQUENCY * frequency_khz,
+            "gain_db": _SAME_GAIN_DB,
+            "gain_percent": _SAME_GAIN_PERCENT,
+            "pulse_us": _SAME_PULSE * pulse_us,
+            "range_min_m": _SAME_RANGE * range_m,
+            "range_max_m": _SAME_RANGE * range_m,
         }
-        return [text for name, text in texts.items() if _differs(self, other, name) and text]
+        unlike = []
+        for field in _TEXTS:
+            value = getattr(self, field)
+            compared = getattr(other, field)
+            if field in tolerances and None not in (value, compared):
+                is_unlike = abs(value - compared) > tolerances[field]
+            else:
+                is_unlike = value != compared
+            if is_unlike:
+                unlike.append(field)
+        return unlike
 
 
 def settings_of(frame: SonarFrame) -> RecordedSettings:
@@ -88,25 +101,5 @@ def settings_of(frame: SonarFrame) -> RecordedSettings:
 def settings_in_name(name: str) -> RecordedSettings:
     """The settings that the name of an image states: a number before kHz, MHz or dB."""
     values = {unit.lower(): float(number) for number, unit in _IN_NAME.findall(name)}
-    frequencies = [values[unit] * khz for unit, khz in _KHZ_OF_UNIT.items() if unit in values]
-    return RecordedSettings(
-        frequency_khz=frequencies[0] if frequencies else None, gain_db=values.get("db")
-    )
-
-
-def _is_near(
-    value: float | None, other: float | None, *, share: float = 0.0, difference: float = 0.0
-) -> bool:
-    if value is None or other is None:
-        return value is other
-    return math.isclose(value, other, rel_tol=share, abs_tol=difference)
-
-
-def _differs(settings: RecordedSettings, other: RecordedSettings, name: str) -> bool:
-    """Whether one of the values is what makes both unlike."""
-    single = {name: getattr(settings, name)}
-    of_other = {name: getattr(other, name)}
-    if name.startswith("range"):  # within a share of the largest range
-        single["range_max_m"] = settings.range_max_m
-        of_other["range_max_m"] = other.range_max_m
-    return not RecordedSettings(**single).is_like(RecordedSettings(**of_other))
+    frequency_khz = values.get("khz", 1000 * values["mhz"] if "mhz" in values else None)
+    return RecordedSettings(frequency_khz=frequency_khz, gain_db=values.get("db"))

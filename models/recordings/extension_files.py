@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 import numpy as np
 
 from ...factory.common import extensions
-from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from .base import (
     FULL_SCALE,
@@ -25,7 +23,6 @@ from .base import (
     MOST_PIXELS,
     MOST_RANGE_M,
     MOST_RANGES,
-    Beams,
     Ended,
     Recording,
     SonarFrame,
@@ -186,109 +183,48 @@ def checked_frame(frame: Any, number: int, name: str) -> SonarFrame:
     number: that it must have.  name: names it in errors.
     Raises FrameError for samples, beams or numbers that cannot be.
     """
-    if not isinstance(frame, SonarFrame):
-        raise FrameError(f"{name}: is a {type(frame).__name__}, no Frame")
-    if frame.number != number:
-        raise FrameError(f"{name}: says that it is frame {frame.number}")
-    samples = _checked_samples(frame.samples, name)
-    if frame.beams is not None:
-        _check_beams(frame.beams, samples, name)
-    numbers = {"time_s": frame.time_s, "duration_s": frame.duration_s}
-    for part in (frame.pose, frame.device):
-        numbers |= {field.name: getattr(part, field.name) for field in fields(part)}
-    for quantity, value in numbers.items():
-        is_number = isinstance(value, int | float | np.number)
-        if quantity != "name" and value is not None and not (is_number and math.isfinite(value)):
-            raise FrameError(
-                f"{name}: {quantity} is {str(value)[:40]!r}; expected a number or None"
-            )
-    return SonarFrame(
-        number, samples, frame.beams, frame.time_s, frame.duration_s, frame.pose, frame.device,
-        frame.geometry,
-    )  # fmt: skip
-
-
-def _checked_samples(samples: Any, name: str) -> Array:
-    if not isinstance(samples, np.ndarray):
-        raise FrameError(f"{name}: samples are a {type(samples).__name__}, no array")
-    native = np.ascontiguousarray(samples, samples.dtype.newbyteorder("="))
-    if str(native.dtype) not in FULL_SCALE:
-        raise FrameError(f"{name}: samples are {native.dtype}; expected {', '.join(FULL_SCALE)}")
-    is_image = native.ndim == 2 or (native.ndim == 3 and native.shape[2] <= 4)
-    if not is_image or not 0 < native.size <= 4 * MOST_PIXELS:
-        raise FrameError(f"{name}: samples have the shape {native.shape}")
-    problem = range_problem(native)
+    if not isinstance(frame, SonarFrame) or not isinstance(frame.samples, np.ndarray):
+        raise FrameError(f"{name}: is no Frame with an array of samples")
+    samples = np.ascontiguousarray(frame.samples, frame.samples.dtype.newbyteorder("="))
+    frame = replace(frame, samples=samples)
+    problem = _problem_of(frame) if frame.number == number else f"says it is frame {frame.number}"
     if problem:
         raise FrameError(f"{name}: {problem}")
-    return native
+    return frame
 
 
-def _check_beams(beams: Beams, samples: Array, name: str) -> None:
-    fits = samples.ndim == 2 and 2 <= len(samples) <= MOST_RANGES
+def _problem_of(frame: SonarFrame) -> str:
+    """What cannot be in a frame; mostly empty."""
+    samples = frame.samples
+    if str(samples.dtype) not in FULL_SCALE:
+        return f"samples are {samples.dtype}; expected {', '.join(FULL_SCALE)}"
+    is_image = samples.ndim == 2 or (samples.ndim == 3 and samples.shape[2] <= 4)
+    if not is_image or not 0 < samples.size <= 4 * MOST_PIXELS:
+        return f"samples have the shape {samples.shape}"
+    for part in (frame, frame.pose, frame.device):
+        for field, value in vars(part).items():
+            if isinstance(value, float | np.floating) and not math.isfinite(value):
+                return f"{field} is {value}; expected a number or None"
+    return range_problem(samples) or ("" if frame.beams is None else _beams_problem(frame))
+
+
+def _beams_problem(frame: SonarFrame) -> str:
+    beams = frame.beams
+    assert beams is not None
+    shape = frame.samples.shape
     count = len(beams.azimuths_rad)
-    if not fits or samples.shape[1] != count or not 2 <= count <= MOST_BEAMS:
-        raise FrameError(
-            f"{name}: {count} beams and samples of the shape {samples.shape}; expected "
-            f"(ranges, beams), up to {MOST_RANGES} and {MOST_BEAMS}"
+    fits = shape[1:] == (count,) and 2 <= count <= MOST_BEAMS and 2 <= shape[0] <= MOST_RANGES
+    if not fits:
+        return (
+            f"{count} beams and samples of the shape {shape}; expected (ranges, beams), up to "
+            f"{MOST_RANGES} and {MOST_BEAMS}"
         )
     azimuths = np.asarray(beams.azimuths_rad, np.float64)
-    is_sector = np.isfinite(azimuths).all() and np.abs(azimuths).max() <= math.pi / 2
-    if not is_sector or (np.diff(azimuths) <= 0).any():
-        raise FrameError(f"{name}: bearings must ascend from -pi/2 to pi/2 at most")
+    if not (np.abs(azimuths).max() <= math.pi / 2 and (np.diff(azimuths) > 0).all()):
+        return "bearings must ascend from -pi/2 to pi/2 at most"
     if not 0 <= beams.range_min_m < beams.range_max_m <= MOST_RANGE_M:
-        raise FrameError(
-            f"{name}: ranges from {beams.range_min_m} to {beams.range_max_m} m cannot be (0 to "
+        return (
+            f"ranges from {beams.range_min_m} to {beams.range_max_m} m cannot be (0 to "
             f"{MOST_RANGE_M:g})"
         )
-
-
-def check_recording_reader(path: str | Path, *, mutations: int = 50, seed: int = 0) -> int:
-    """Try the reader of a file as those of this project are tested; returns how many frames it has.
-
-    Frames are read in order, by number and again, and must be the same; then copies of the file,
-    cut short or with changed bytes, may cost one line each and nothing else.
-    path: a small, sound recording, whose package is installed or registered.
-    Raises FactoryError, one line, for what the reader does wrong.
-    """
-    from . import open_recording
-
-    location = Path(path)
-    with open_recording(location) as recording:
-        frames = list(recording)
-        for number in reversed(range(len(recording))):
-            again = recording[number].samples
-            if not np.array_equal(again, frames[number].samples):
-                raise FactoryError(
-                    f"{location}: frame {number} is another one when it is read by its number"
-                )
-    rng = np.random.default_rng(seed)
-    content = location.read_bytes()
-    with TemporaryDirectory() as folder:
-        for number in range(mutations):
-            damaged = Path(folder) / f"{number}{location.suffix}"
-            damaged.write_bytes(_damaged(content, rng))
-            _read_some(damaged, len(frames) + 1)
-    return len(frames)
-
-
-def _read_some(path: Path, most: int) -> None:
-    """Read the first frames of a damaged file, which may cost a line."""
-    from . import open_recording
-
-    with suppress(FactoryError), open_recording(path) as recording:
-        for _ in zip(range(most), recording, strict=False):
-            pass
-
-
-def _damaged(content: bytes, rng: np.random.Generator) -> bytes:
-    """A file cut short, with bits flipped or a word overwritten, mostly where headers are."""
-    data = bytearray(content)
-    most = max(1, len(data) if rng.random() < 0.3 else min(len(data), 2600))
-    if rng.random() < 0.3:
-        return bytes(data[: rng.integers(len(data) + 1)])
-    if rng.random() < 0.5:
-        data[rng.integers(most)] ^= 1 << int(rng.integers(8))
-        return bytes(data)
-    place = int(rng.integers(most))
-    data[place : place + 4] = b"\xff\xff\xff\x7f"
-    return bytes(data)
+    return ""

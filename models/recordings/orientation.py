@@ -7,7 +7,7 @@ up: the Exif orientation of an image, the display matrix of a video.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,8 @@ from ...factory.common.array_types import Array
 EXIF_ORIENTATION = 274
 """Number of the Exif (and TIFF) tag."""
 
-_MATRIX_BYTES = 36  # nine 32-bit integers
 
-
-@dataclass(frozen=True)
-class Orientation:
+class Orientation(NamedTuple):
     """What turns stored pixels upright: transpose first, then reverse columns and rows."""
 
     is_transposed: bool = False
@@ -29,42 +26,34 @@ class Orientation:
 
     def upright(self, pixels: Array) -> Array:
         """(H, W) or (H, W, C) as people should see it; a copy in one piece where it turns."""
-        if self == UPRIGHT:
+        if not any(self):
             return pixels
         if self.is_transposed:
             pixels = pixels.swapaxes(0, 1)
-        if self.reverses_columns:
-            pixels = pixels[:, ::-1]
-        if self.reverses_rows:
-            pixels = pixels[::-1]
-        return np.ascontiguousarray(pixels)
+        columns = -1 if self.reverses_columns else 1
+        rows = -1 if self.reverses_rows else 1
+        return np.ascontiguousarray(pixels[::rows, ::columns])
 
 
 UPRIGHT = Orientation()
 
-_BY_EXIF = {
-    2: Orientation(reverses_columns=True),
-    3: Orientation(reverses_columns=True, reverses_rows=True),
-    4: Orientation(reverses_rows=True),
-    5: Orientation(is_transposed=True),
-    6: Orientation(is_transposed=True, reverses_columns=True),
-    7: Orientation(is_transposed=True, reverses_columns=True, reverses_rows=True),
-    8: Orientation(is_transposed=True, reverses_rows=True),
-}
-
 
 def orientation_of_exif(value: object) -> Orientation:
     """The orientation that an Exif tag states (TIFF 6.0, tag 274); upright for unknown values."""
-    return _BY_EXIF.get(value, UPRIGHT) if isinstance(value, int) else UPRIGHT
+    return Orientation(
+        is_transposed=value in (5, 6, 7, 8),
+        reverses_columns=value in (2, 3, 6, 7),
+        reverses_rows=value in (3, 4, 7, 8),
+    )
 
 
 def orientation_of_matrix(content: bytes) -> Orientation:
     """The orientation that a display matrix states, of ISO/IEC 14496-12 as FFmpeg passes it on.
 
-    The matrix takes (x, y) to (a x + c y, b x + d y) and is stored as a, b, u, c, d, v, x, y, w.
-    Turns other than by quarters count as the nearest one.
+    The matrix takes (x, y) to (a x + c y, b x + d y) and is stored as a, b, u, c, d, v, x, y, w,
+    in 32 bits each.  Turns other than by quarters count as the nearest one.
     """
-    if len(content) < _MATRIX_BYTES:
+    if len(content) < 36:
         return UPRIGHT
     a, b, _, c, d = struct.unpack_from("<5i", content)
     if abs(a) + abs(d) >= abs(b) + abs(c):

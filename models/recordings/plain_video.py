@@ -14,13 +14,13 @@ import numpy as np
 
 from ...factory.common.array_types import UInt8s
 from ...factory.common.files import whole_file
+from .animations import USUAL_DURATION_S
 
 SUFFIX = ".mp4"
 _CODECS = ("libopenh264", "libx264", "mpeg4")  # the first that this FFmpeg has
 _MOST_WIDTH = 1920
 _MOST_HEIGHT = 1080
 _TICK_S = Fraction(1, 90_000)
-_USUAL_STEP_S = 0.1  # from one image to the next if unknown
 _STEPS_S = (1 / 60, 1.0)  # shortest and longest: a pause of the recorder is no pause of the talk
 
 
@@ -79,7 +79,7 @@ class PlainVideo:
         # Halved colours need even sides.
         self._size = _even(scale * height), _even(scale * width)
         name = next(name for name in _CODECS if name in self._av.codecs_available)
-        self._stream = self._output.add_stream(name, rate=round(1 / _USUAL_STEP_S))
+        self._stream = self._output.add_stream(name, rate=round(1 / USUAL_DURATION_S))
         self._stream.height, self._stream.width = self._size
         self._stream.pix_fmt = "yuv420p"
         self._stream.time_base = self._stream.codec_context.time_base = _TICK_S
@@ -92,7 +92,7 @@ class PlainVideo:
     def _step_s(self, time_s: float | None) -> float:
         """Time since the image before."""
         if time_s is None or self._last_time_s is None:
-            return _USUAL_STEP_S
+            return USUAL_DURATION_S
         shortest, longest = _STEPS_S
         return min(max(time_s - self._last_time_s, shortest), longest)
 

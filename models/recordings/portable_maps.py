@@ -1,4 +1,4 @@
-"""Portable maps (PGM, PPM) by pnm(5) of Netpbm: what a sample means depends on the largest one.
+"""PGM and PPM files, whose largest sample need not be that of 8 or 16 bits.
 
 A camera of 12 bits writes 4095 as the number of white.  OpenCV takes the samples of such a file for
 those of 16 bits, which are 16 times as dark.
@@ -15,13 +15,14 @@ import numpy as np
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
-from .base import FULL_SCALE, PORTABLE_SUFFIXES, ask_pixels, swapped
+from .base import FULL_SCALE, PORTABLE_SUFFIXES, ask_pixels, explained, swapped
 
 _SPACE = rb"(?:\s|#[^\n]*\n)+"
 _COMMENT = re.compile(rb"#[^\n]*")
 _HEADER = re.compile(rb"P([2356])" + 3 * (_SPACE + rb"(\d{1,9})") + rb"\s")
 _HEADER_BYTES = 4096
-_MOST = 65535
+_DTYPES = {255: np.dtype(np.uint8), 65535: np.dtype(">u2")}
+"""Full scale -> type of the samples of a binary file."""
 
 
 class PortableHeader(NamedTuple):
@@ -34,6 +35,11 @@ class PortableHeader(NamedTuple):
     largest: int
     data: int
 
+    @property
+    def full(self) -> int:
+        """The largest sample that the type of its samples can hold."""
+        return 255 if self.largest <= 255 else 65535
+
 
 def portable_header(content: bytes) -> PortableHeader | None:
     """The header of a PGM or PPM file; None for other content."""
@@ -41,11 +47,9 @@ def portable_header(content: bytes) -> PortableHeader | None:
     if match is None:
         return None
     width, height, largest = (int(number) for number in match.groups()[1:])
-    if not (width and height and 0 < largest <= _MOST):
+    if not (width and height and 0 < largest <= max(_DTYPES)):
         return None
-    is_text = match[1] in b"23"
-    is_grey = match[1] in b"25"
-    return PortableHeader(is_text, is_grey, width, height, largest, match.end())
+    return PortableHeader(match[1] in b"23", match[1] in b"25", width, height, largest, match.end())
 
 
 def white_of_file(path: Path) -> int | None:
@@ -54,7 +58,7 @@ def white_of_file(path: Path) -> int | None:
         return None
     with path.open("rb") as file:
         header = portable_header(file.read(_HEADER_BYTES))
-    return None if header is None or header.largest in (255, _MOST) else header.largest
+    return None if header is None or header.largest == header.full else header.largest
 
 
 def decode_portable(content: bytes, header: PortableHeader, name: str) -> Array:
@@ -63,26 +67,22 @@ def decode_portable(content: bytes, header: PortableHeader, name: str) -> Array:
     Raises FrameError, also for a file of several images, of which other readers show the first.
     """
     ask_pixels(name, header.width, header.height)
-    shape = (header.height, header.width) if header.is_grey else (header.height, header.width, 3)
+    shape = (header.height, header.width, *(() if header.is_grey else (3,)))
     count = math.prod(shape)
-    if header.is_text:
-        text = _COMMENT.sub(b"", content[header.data :])
-        words = text.split(maxsplit=count)[:count]
-        is_whole = len(words) == count and all(word.isdigit() for word in words)
-        samples = np.array([int(word) for word in words] if is_whole else [], np.int64)
-    else:
-        dtype = np.dtype(np.uint8 if header.largest < 256 else ">u2")
-        end = header.data + count * dtype.itemsize
-        if _HEADER.match(content[end : end + _HEADER_BYTES].lstrip()):
+    dtype = _DTYPES[header.full]
+    with explained(f"{name}: not a readable image; it is damaged or cut short"):
+        if header.is_text:
+            words = _COMMENT.sub(b"", content[header.data :]).split(maxsplit=count)
+            samples = np.array(words[:count]).astype(np.int64).reshape(shape)
+        else:
+            samples = np.frombuffer(content, dtype, count, header.data).reshape(shape)
+    if not header.is_text:
+        rest = content[header.data + samples.nbytes :][:_HEADER_BYTES]
+        if _HEADER.match(rest.lstrip()):
             raise FrameError(f"{name}: holds several images; write each to a file of its own")
-        samples = np.frombuffer(content[header.data : end], dtype)
-    if len(samples) < count:
-        raise FrameError(f"{name}: not a readable image; it is damaged or cut short")
-    full = 255 if header.largest < 256 else _MOST
     most = header.largest
-    scaled = (np.minimum(samples, most).astype(np.int64) * full + most // 2) // most
-    image: Array = scaled.astype(np.uint8 if full == 255 else np.uint16)
-    return swapped(image.reshape(shape))
+    scaled = (np.clip(samples, 0, most).astype(np.int64) * header.full + most // 2) // most
+    return swapped(scaled.astype(dtype))
 
 
 def encode_portable(image: Array, largest: int | None) -> bytes:
@@ -91,10 +91,8 @@ def encode_portable(image: Array, largest: int | None) -> bytes:
     largest: the sample that is white; None: full scale.
     """
     full = int(FULL_SCALE[str(image.dtype)])
-    largest = largest or full
-    scaled = (image.astype(np.int64) * largest + full // 2) // full
-    scaled = swapped(scaled)
+    most = largest or full
+    scaled = swapped((image.astype(np.int64) * most + full // 2) // full)
     height, width = image.shape[:2]
-    kind = 5 if image.ndim == 2 else 6
-    header = f"P{kind}\n{width} {height}\n{largest}\n".encode()
-    return header + scaled.astype(np.uint8 if largest < 256 else ">u2").tobytes()
+    header = f"P{5 if image.ndim == 2 else 6}\n{width} {height}\n{most}\n"
+    return header.encode() + scaled.astype(_DTYPES[255 if most <= 255 else 65535]).tobytes()

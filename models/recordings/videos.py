@@ -8,6 +8,7 @@ other files and addresses to open.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -29,12 +30,12 @@ from .base import (
     explained,
     untinted,
 )
-from .containers import container_of, has_index, is_cut_short
 from .orientation import UPRIGHT, Orientation, orientation_of_matrix
 
+_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")  # of MP4 and MOV
+_MATROSKA = b"\x1a\x45\xdf\xa3"
 _NEUTRAL = 128  # chroma of grey
 _SEEK_BEYOND = 32  # frames ahead up to which decoding them is quicker than seeking
-_MOST_RATE_HZ = 10_000
 _USUAL_RATE = Fraction(25)  # FFmpeg's, where a file says nothing of its rate
 
 
@@ -104,12 +105,11 @@ class VideoFile(Recording):
         require([Need(f"{self.path}", "av")])
         self._av: Any = import_module("av")
         self._container = container
-        self._cut_short = self._file is not None and is_cut_short(self._file, self.size, container)
         with self._opened() as (_, stream):
             codec = stream.codec_context
             ask_pixels(str(self.path), codec.width, codec.height)
             rate = stream.average_rate or stream.guessed_rate
-            is_rate = bool(rate) and 0 < rate < _MOST_RATE_HZ
+            is_rate = bool(rate) and rate > 0
             self.rate_hz = float(rate) if is_rate else None
             self._stated_s = self._duration_s(stream)
             stated = stream.frames or round((self._stated_s or 0) * (self.rate_hz or 0))
@@ -133,6 +133,20 @@ class VideoFile(Recording):
         self._cursor: Iterator[tuple[int, Any]] | None = None
         self._next = 0
 
+    def _is_cut_riff(self) -> bool:
+        """Whether a part of an AVI file says to end beyond it, or was never ended.
+
+        Microsoft RIFF; each part is padded to an even length.  FFmpeg estimates the duration.
+        """
+        end = 0
+        while end + 8 <= self.size:
+            head = self.bytes_at(end, 8, "a header")
+            length = int.from_bytes(head[4:], "little")
+            if head[:4] != b"RIFF" or length == 0:
+                return head[:4] == b"RIFF"
+            end += 8 + length + length % 2
+        return end > self.size + 1
+
     def _duration_s(self, stream: Any) -> float | None:
         """How long the file says that its frames last; None where it does not, or counts sound."""
         if stream.duration:
@@ -148,24 +162,38 @@ class VideoFile(Recording):
         """Raises FrameError when no frame decodes at all."""
         for frame in self._decoded(stream, _Reading()):
             return frame
-        hint = "; it is cut short or damaged" if self._cut_short else ""
-        name = stream.codec_context.name
         raise FrameError(
-            f"{self.path}: not a readable video: no frame decodes (codec {name}){hint}"
+            f"{self.path}: not a readable video: no frame decodes (codec "
+            f"{stream.codec_context.name}); it is cut short or damaged"
         )
 
-    def unreadable(self) -> str:
-        """What to say of a file whose container cannot be opened."""
-        assert self._file is not None
-        if self._container == "mov" and not has_index(self._file, self.size):
-            return (
-                "not a readable video: its index (moov) is missing, the recording was not ended; "
-                "repair it by the recorder's own program, or by untrunc"
+    @contextmanager
+    def _opened(self) -> Iterator[tuple[Any, Any]]:
+        """The open container and its stream of images."""
+        problem = f"{self.path}: not a readable video; it is damaged or cut short"
+        if self._container == "mov":
+            problem += (
+                "; if the recording was not ended, its index (moov) is missing: repair it by the "
+                "recorder's own program, or by untrunc"
             )
-        return "not a readable video; it is damaged or cut short"
-
-    def _opened(self) -> _Opened:
-        return _Opened(self)
+        with explained(problem):
+            # As a file: no name is an address then, as tcp:127.0.0.1:80.avi would be.
+            container = self._av.open(
+                f"file:{self.path.absolute()}",
+                format=self._container,
+                options={"protocol_whitelist": "file", "format_whitelist": self._container},
+                metadata_errors="replace",
+            )
+        with container:
+            streams = [
+                stream
+                for stream in container.streams.video
+                if not _is_cover(stream) and stream.codec_context is not None
+            ]
+            if not streams:
+                raise FrameError(f"{self.path}: not a readable video: it holds no images")
+            streams[0].codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+            yield container, streams[0]
 
     def _decoded(self, stream: Any, reading: _Reading) -> Iterator[Any]:
         """Every frame that decodes from where the stream stands; damaged packets are passed over.
@@ -180,7 +208,7 @@ class VideoFile(Recording):
             except errors:
                 reading.ended_early = True
                 packet = None
-            if packet is not None and packet.is_corrupt and self._cut_short:
+            if packet is not None and packet.is_corrupt:
                 continue  # the file ends within it
             try:
                 frames = stream.codec_context.decode(packet)
@@ -218,17 +246,12 @@ class VideoFile(Recording):
 
     def __iter__(self) -> Iterator[SonarFrame]:
         """All frames that decode, in order; `warning` says afterwards whether some are missing."""
-        yield from self.frames_from(0)
-
-    def frames_from(self, first: int) -> Iterator[SonarFrame]:
-        """The frames from number `first` on; earlier ones are decoded, too."""
         reading = _Reading()
         timing: _Timing | None = None
         with self._opened() as (_, stream):
             for number, decoded in enumerate(self._decoded(stream, reading)):
                 timing = self._timing(number, decoded, timing)
-                if number >= first:
-                    yield self._frame(number, decoded, timing)
+                yield self._frame(number, decoded, timing)
         self.warning = self._warning(reading)
 
     def __getitem__(self, number: int) -> SonarFrame:
@@ -298,7 +321,7 @@ class VideoFile(Recording):
 
     def _damage(self, reading: _Reading) -> str:
         whole = f"its {reading.frames} whole frames are read"
-        if self._cut_short or reading.ended_early:
+        if reading.ended_early or (self._container == "avi" and self._is_cut_riff()):
             return f"is cut short; {whole}"
         if reading.damaged:
             return f"{reading.damaged} damaged frames are left out; {whole}"
@@ -311,36 +334,13 @@ class VideoFile(Recording):
         return ""
 
 
-class _Opened:
-    """A context in which a video is open: gives its container and its stream of images."""
-
-    def __init__(self, video: VideoFile) -> None:
-        self._video = video
-
-    def __enter__(self) -> tuple[Any, Any]:
-        video = self._video
-        av: Any = video._av
-        with explained(f"{video.path}: {video.unreadable()}"):
-            # As a file: no name is an address then, as tcp:127.0.0.1:80.avi would be.
-            self._container = av.open(
-                f"file:{video.path.absolute()}",
-                format=video._container,
-                options={"protocol_whitelist": "file", "format_whitelist": video._container},
-                metadata_errors="replace",
-            )
-        streams = [
-            stream
-            for stream in self._container.streams.video
-            if not _is_cover(stream) and stream.codec_context is not None
-        ]
-        if not streams:
-            self._container.close()
-            raise FrameError(f"{video.path}: not a readable video: it holds no images")
-        streams[0].codec_context.options = {"max_pixels": str(MOST_PIXELS)}
-        return self._container, streams[0]
-
-    def __exit__(self, *_: object) -> None:
-        self._container.close()
+def container_of(head: bytes) -> str | None:
+    """FFmpeg's name of the reader for a file that begins so; None for no known container."""
+    if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
+        return "avi"
+    if head[4:8] in _BOXES:
+        return "mov"
+    return "matroska" if head[:4] == _MATROSKA else None
 
 
 def _is_cover(stream: Any) -> bool:

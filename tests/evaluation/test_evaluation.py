@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import subprocess
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +19,17 @@ from simnfnd import command
 from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY, Baseline
 from simnfnd.evaluation.judging import runner, tuning
-from simnfnd.evaluation.judging.methods import NOISY, Method, baselines_of, methods_of, networks_of
-from simnfnd.evaluation.judging.pairs import geometry_of, items_of, pair_images
+from simnfnd.evaluation.judging.methods import Method, baselines_of, methods_of, networks_of
+from simnfnd.evaluation.judging.pairs import items_of, pair_images
 from simnfnd.evaluation.judging.runner import SECONDS, Measured
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.fidelity import psnr
-from simnfnd.evaluation.metrics.measure import MeasuredPair, PairImages, fit_levels, sector_of
+from simnfnd.evaluation.metrics.measure import fit_levels
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report import paper
 from simnfnd.evaluation.report.compare import read_results
 from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.common.workers.tasks import TaskPool
-from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.factory.dataset.schema import Axis, Column, Pair, Provenance
-from simnfnd.factory.dataset.settings import DatasetSettings
-from simnfnd.factory.dataset.writer import write_shard
-from simnfnd.factory.simulation.sonar.settings import SonarSettings
 from simnfnd.models.data.pairs import hold_out, read_table
 from simnfnd.models.denoise.denoiser import Denoiser
 from simnfnd.models.networks import build_network
@@ -49,7 +42,7 @@ from tests.evaluation.evaluation_settings import (
     settings_for,
 )
 from tests.project_files import ROOT
-from tests.small_dataset import COLUMNS, fan_images, write_dataset
+from tests.small_dataset import write_dataset
 
 FILES = {"report.html", "report.json", "report.md", "results.csv"}
 METRICS = ("psnr", "ssim", "gmsd", "psnr_fan", "shadow_iou", "shadow_residual")
@@ -161,25 +154,6 @@ def test_a_killed_worker_costs_the_row_of_its_method_alone(
     assert not measured(dataset, [MEDIAN]).lost, "the next run tries again"
 
 
-def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
-    noisy, clean, shadow = fan_images(64, np.random.default_rng(1))
-    sector = sector_of(noisy, clean, shadow)
-    scene = MeasuredPair(PairImages(noisy, clean, shadow, sector))
-    scores = scene.figures(noisy)
-    share = sector.mean()
-    assert 0.2 < share < 0.8
-    # Outside all is 0 in both images: it adds 10 log10(1/share) dB to the full frame.
-    assert scores["psnr"] - scores["psnr_fan"] == pytest.approx(-10 * math.log10(share))
-    assert scores["ssim_fan"] < scores["ssim"]
-
-
-def test_filters_are_chosen_by_name_or_group() -> None:
-    methods = methods_of(baselines_of(["fast", "median", "paper"]), {})
-    labels = [method.label for method in methods]
-    assert labels == ["noisy", "median", "gaussian", "bilateral", "nlm", "grey_opening", "bm3d"]
-    assert methods[0] == NOISY
-
-
 def test_somebodys_denoised_images_are_a_row(tmp_path: Path) -> None:
     """By the names of `export --to png`, PNG or .npy; equal images give equal figures."""
     dataset = write_dataset(tmp_path / "data", train=2, test=5, size=48, per_shard=3)
@@ -203,7 +177,7 @@ def test_somebodys_denoised_images_are_a_row(tmp_path: Path) -> None:
     assert "psnr" in rows_["mine"]["against_best"]
     np.save(arrays / "000002.npy", np.zeros((48, 40)))
     lost = builder.build(settings_for(dataset, pictures=folders[1:]))["rows"][-1]["lost"]
-    assert "test/noisy/000002: 40x48 pixels, but its pair has 48x48" in lost
+    assert "test/noisy/000002: 40x48 pixels, but what is judged has 48x48" in lost
     again = settings_for(dataset, pictures=[{"name": "median", "dir": str(mine)}])
     with pytest.raises(FactoryError, match="pictures: median"):
         builder.build(again)
@@ -416,24 +390,6 @@ def test_networks_are_rows_with_their_costs(dataset: Path, tmp_path: Path) -> No
     assert psnr_db["small"][1] == pytest.approx(expected, abs=1e-6)
     assert psnr_db["small"][1] != psnr_db["other"][1]
     assert (actual.wide()[SECONDS]["small"] > 0).all()
-
-
-def test_the_geometry_of_a_pair_is_that_of_its_record_and_sonar(tmp_path: Path) -> None:
-    sonar = SonarSettings()
-    window = {"range_min_m": 1.0, "range_max_m": 5.0, "azimuth_min_deg": -9, "azimuth_max_deg": 9}
-    columns = (*COLUMNS, *(Column(name, "f8") for name in window))
-    identity = {"location": "a", "scene": "b", "frame": "c", "variant": 0}
-    record: dict[str, Any] = {**identity, **window}
-    noisy, clean, shadow = fan_images(64, np.random.default_rng(0))
-    axes = Axis("row", "px", np.arange(64.0)), Axis("column", "px", np.arange(64.0))
-    provenance = Provenance({"sonar": asdict(sonar)}, "0123abcd", "tests")
-    pair = Pair(noisy, clean, shadow, record)
-    name = "test/shard-00000.h5"
-    write_shard(tmp_path, name, [pair], axes, columns, provenance, DatasetSettings())
-    (item,) = items_of(tmp_path, "test")
-    known = geometry_of(item.place)
-    assert known is not None
-    assert known.far_px == pytest.approx(FanGeometry.from_sonar(sonar, 1.0, 5.0).far_px)
 
 
 def test_paths_without_weights_are_named(dataset: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from ...common.errors import FactoryError
 from ...common.small_files import load_yaml
 from ...common.words import quote
 from .hydra_loader import config_folders, load, searched_folders, take_config_folders
-from .text_values import ValueForm, form_of, hydra_value
+from .text_keys import TextKey, hydra_value, text_keys
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -190,7 +190,7 @@ def config_line(error: Exception, name: str) -> str:
             if formation := formation_of(key):
                 return f"{key}: set acoustics={formation}, whose setting it is, or leave it out"
             return f"{key}: the chosen `{key.split('.')[0]}` has no such key (see `--cfg job`)"
-        from ...simulation.config.root import GONE_KEYS
+        from .root import GONE_KEYS
 
         if key in GONE_KEYS:
             return f"{key}: {GONE_KEYS[key]}"
@@ -204,6 +204,11 @@ def config_line(error: Exception, name: str) -> str:
         return f"{key}: no such key; {hint}"
     if match := re.search(r"Ambiguous value for argument '([^=]+)=", text):
         return f"{match[1]}: several values are a sweep, `-m`, or a list, {match[1]}=[a,b]"
+    if match := re.search(r"(?:no viable alternative at|mismatched|extraneous) input '(.*)'", text):
+        return (
+            f"config: cannot read {match[1]}; put names and paths inside of lists and mappings in "
+            "quotes, such as {file: 'dive (2).glb'}"
+        )
     if match := re.search(r"Error parsing override '([^']+)' missing EQUAL", text):
         return f"{match[1]}: not KEY=VALUE; see `--help`"
     text = re.sub(r"\s*See https://hydra\S+ for details", "", text)
@@ -240,9 +245,9 @@ def hydra_words(words: Sequence[str], name: str, settings: Any) -> list[str]:
     Values of keys that hold text are names and paths as they stand; `~` at their start is the home
     folder.  name: of the root configuration, conf/<name>.yaml.  settings: its class.
     """
-    form = form_of(settings)
+    texts = text_keys(settings)
     in_sweep = any(word in _SWEEP for word in words)
-    return [_hydra_word(word, name, form, in_sweep=in_sweep) for word in words]
+    return [_hydra_word(word, name, texts, in_sweep=in_sweep) for word in words]
 
 
 def own_effect_key(key: str) -> str:
@@ -252,10 +257,10 @@ def own_effect_key(key: str) -> str:
     return f"++{key}" if is_own else key
 
 
-def _hydra_word(word: str, name: str, form: ValueForm, *, in_sweep: bool) -> str:
+def _hydra_word(word: str, name: str, texts: Mapping[str, TextKey], *, in_sweep: bool) -> str:
     """A word of the command line as Hydra's grammar has it: texts quoted, paths expanded.
 
-    name: of the root configuration.  form: what values its keys take.
+    name: of the root configuration.  texts: its keys that hold text.
     """
     key, equals, value = word.partition("=")
     if not equals or not _KEY.fullmatch(key):
@@ -266,13 +271,12 @@ def _hydra_word(word: str, name: str, form: ValueForm, *, in_sweep: bool) -> str
         value = os.path.expanduser(value)
 
     path = key.lstrip("+")
-    own_form = ValueForm(is_text=True) if _HYDRA_FOLDER.fullmatch(path) else form.at(path)
-    if own_form.holds_text:
+    text_key = TextKey(is_list=False) if _HYDRA_FOLDER.fullmatch(path) else texts.get(path)
+    if text_key is not None:
         roots = frozenset[str]()
         if "${" in value:
             roots = frozenset(known.partition(".")[0] for known in _keys(name)) | {"hydra"}
-        stated = hydra_value(value, own_form, in_sweep=in_sweep, roots=roots)
-        return f"{key}={stated}"
+        return f"{key}={hydra_value(value, text_key, in_sweep=in_sweep, roots=roots)}"
     if not _READS.fullmatch(value):
         return f"{key}={quote(value)}"
     return as_override(f"{key}={value}") if name == "factory" else f"{key}={value}"

@@ -72,34 +72,33 @@ class MovingRecordings:
         self._cast: tuple[tuple[str, str], tuple[Actor, ...]] = (("", ""), ())
 
     def moment(self, frame: Frame, rendered: Rendered) -> Moment:
-        """The moment of a rendered frame.
+        """The moment of a rendered frame of the recording.  Raises FrameError; see `moment_at`."""
+        settings = self._settings
+        if not settings.is_continuous:
+            return Moment(frame, rendered)
+        moment = self.moment_at(frame, rendered, settings.time_s(frame.ref))
+        if not moment.cast:
+            return moment
+        name = settings.rendered_ref(frame.ref).name
+        if self._static.name != name:
+            self._static = StaticScene(name)
+        return replace(moment, static=self._static)
+
+    def moment_at(self, frame: Frame, rendered: Rendered, time_s: float | None) -> Moment:
+        """The moment of a frame that was rendered at any pose.
 
         Raises FrameError for a frame without a time or a pose where objects move.
         """
         settings = self._settings
-        if not settings.is_continuous:
-            return Moment(frame, rendered)
-        time_s = settings.time_s(frame.ref)
         frame = replace(frame, time_s=time_s)
         if not isinstance(settings, RecordingSettings) or not settings.has_moving_objects:
-            return Moment(frame, rendered, is_continuous=True)
+            return Moment(frame, rendered, is_continuous=settings.is_continuous)
         if time_s is None or frame.surroundings is None or frame.world_from_camera is None:
             raise FrameError(f"{frame.ref.name}: moving objects need its time and its pose")
         cast = self._cast_of(frame, settings)
         course_s = time_s - settings.start_s
         bodies = bodies_at(cast, frame, course_s)
-        name = settings.rendered_ref(frame.ref).name
-        if self._static.name != name:
-            self._static = StaticScene(name)
-        return Moment(
-            frame,
-            rendered,
-            bodies,
-            is_continuous=True,
-            static=self._static,
-            cast=cast,
-            course_s=course_s,
-        )
+        return Moment(frame, rendered, bodies, is_continuous=True, cast=cast, course_s=course_s)
 
     def _cast_of(self, frame: Frame, settings: RecordingSettings) -> tuple[Actor, ...]:
         name = frame.ref.location, frame.ref.scene

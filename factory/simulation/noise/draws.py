@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import Field, dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from ...common import seeds
@@ -90,6 +91,7 @@ def draw(
     return Draws(settings, tuple(drawn))
 
 
+@lru_cache(maxsize=1024)  # the frames of a recording share many
 def _value(configured: Distribution | str, seed: int, *names: str | int) -> Value:
     if isinstance(configured, str):
         return configured

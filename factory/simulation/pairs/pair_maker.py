@@ -10,14 +10,15 @@ pointwise as in the paper, or coherent) and the same transfer curve.  Only the n
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ...common.array_types import Array, Bools, Float32s, UInt16s
+from ...common.array_types import Array, Bools, Float32s
 from ...common.errors import FrameError
 from ...dataset.fan_geometry import FanGeometry
 from ...dataset.frame_ref import FrameRef
@@ -28,7 +29,6 @@ from ..devices import draw as devices
 from ..frames.frame import Frame
 from ..imaging import layers as truth
 from ..imaging.coherent import CoherentSample, CoherentScene
-from ..imaging.contract import SceneSample
 from ..imaging.pointwise import PointwiseScene
 from ..imaging.settings import CoherentSettings, with_materials
 from ..labels.camera_layers import Camera, CameraLayers
@@ -37,7 +37,7 @@ from ..labels.insonified import check_share, insonified_share
 from ..labels.visibility import visibility_row
 from ..moving.compose import Echo, compose
 from ..moving.recordings import Moment, MovingRecordings
-from ..noise.draws import Draws, StreamNames, draw
+from ..noise.draws import StreamNames, draw
 from ..sonar import polar, surface, transfer
 from ..sonar.fan import lay_out, lay_out_nearest, rasterised
 from ..sonar.window import Window, conical, fit_window, set_window, whole_sector
@@ -64,22 +64,54 @@ _MOST_KEPT_FRAMES = 24
 class ObservedFrame:
     """What all pairs of a frame share; nothing in it is random.
 
-    window: range and azimuth limits of the image.  has_pose: whether the frame has a pose.
-    shadow: (H, W) bool image.  layers: (H, W) images of the surface behind each pixel, by the names
-    of `dataset.layers`.  columns: the columns that `dataset.columns` requests.
+    lit: the surface that the sonar sees.  window: range and azimuth limits of the image.
+    config: of the device and of what is requested beside the images.
     continuous: whether the frames of its recording share the parameters of the noise.
     later_groups: what the second and further groups of beams observe; see `ArraySettings`.
     """
 
-    ref: FrameRef
-    has_pose: bool
+    lit: surface.LitSurface
     window: Window
     scene: PointwiseScene | CoherentScene
-    shadow: Bools
-    layers: Mapping[str, Array]
-    columns: Mapping[str, float | str]
+    config: FactoryConfig
     continuous: bool = False
     later_groups: tuple[Scene, ...] = ()
+
+    @property
+    def ref(self) -> FrameRef:
+        """The name of the frame."""
+        return self.lit.frame.ref
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the frame has a pose."""
+        return self.lit.frame.world_from_camera is not None
+
+    @cached_property
+    def shadow(self) -> Bools:
+        """(H, W) bool image of the shadows."""
+        sonar = self.config.sonar
+        # What echoes beyond vfov_deg is no shadow: the beam fades, and is not cut.
+        is_lit = self.scene.filled | self.lit.shown.hit
+        shadow = ~polar.covered(is_lit) & polar.seen_beams(self.window, sonar)
+        return lay_out_nearest(shadow, self.window, sonar)
+
+    @cached_property
+    def layers(self) -> Mapping[str, Array]:
+        """(H, W) images of the surface behind each pixel, by the names of `dataset.layers`."""
+        return self.surface_layers(self.config.dataset.layers)
+
+    def surface_layers(self, names: Sequence[str]) -> dict[str, Array]:
+        """(H, W) images of the surface behind each pixel; see `layer_images`."""
+        return {
+            name: lay_out_nearest(image, self.window, self.config.sonar)
+            for name, image in truth.layer_images(names, self.lit).items()
+        }
+
+    @cached_property
+    def columns(self) -> Mapping[str, float | str]:
+        """The columns that `dataset.columns` requests."""
+        return requested_row(self.lit, self.config)
 
 
 class PairMaker:
@@ -198,24 +230,7 @@ def observe_moment(
     lit, scene, later_groups = _observe_scene(moment, window, config)
     share = insonified_share(scene.filled, window, sonar)
     check_share(moment.frame.ref, share, config.frames.min_insonified)
-    # What echoes beyond vfov_deg is no shadow: the beam fades, and is not cut.
-    is_lit = scene.filled | lit.shown.hit
-    shadow = ~polar.covered(is_lit) & polar.seen_beams(window, sonar)
-    layers = {
-        name: lay_out_nearest(image, window, sonar)
-        for name, image in truth.layer_images(config.dataset.layers, lit).items()
-    }
-    return ObservedFrame(
-        ref=moment.frame.ref,
-        has_pose=moment.frame.world_from_camera is not None,
-        window=window,
-        scene=scene,
-        shadow=lay_out_nearest(shadow, window, sonar),
-        layers=layers,
-        columns=requested_row(lit, config),
-        continuous=moment.is_continuous,
-        later_groups=later_groups,
-    )
+    return ObservedFrame(lit, window, scene, config, moment.is_continuous, later_groups)
 
 
 class _ObservedScene(NamedTuple):
@@ -390,103 +405,138 @@ def make_pair(
 
     device: the drawn device that observed the frame; None: the configured one.
     """
-    names = StreamNames.of(observed.ref, variant, observed.has_pose)
-    draws = draw(config.noise, config.seed, names, continuous=observed.continuous)
-    # One sample for each group of beams.
-    scenes = observed.scene, *observed.later_groups
-    samples = [scene.sample(variant, draws.effects) for scene in scenes]
-    layout = _Layout(observed.window, config, is_drawn=device is not None)
-    layers = _layers_of_sample(observed, variant, samples, draws, layout, config)
-
-    # Images of drawn devices have the columns of the coherent ones, whatever formed them.
-    formation = config.acoustics.formation if device is None else "coherent"
-    row = record(observed.ref, variant, observed.window, config.sonar, samples[0], draws, formation)
-    if device is not None:
-        row |= device.row()
-    row |= observed.columns
-    if "visibility" in config.dataset.columns:
-        row |= _visibility(samples, layout, np.asarray(layers["instance"], np.uint16), config)
-    clean = _by_beam_group([sample.clean for sample in samples])
-    noisy = _by_beam_group([sample.noisy(draws.names) for sample in samples])
+    sample = ObservedSample(observed, variant, config, device)
     return Pair(
-        noisy=layout.image(noisy, is_noisy=True),
-        clean=layout.image(clean, is_noisy=False),
+        noisy=sample.noisy,
+        clean=sample.clean,
         shadow=observed.shadow,
-        record=row,
-        layers=layers,
+        record=sample.record(),
+        layers=sample.layers,
         formation=config.acoustics.formation if device is None else "",
-        geometry=FanGeometry.from_sonar(
-            config.sonar,
-            observed.window.range_min_m,
-            observed.window.range_max_m,
-            observed.window.azimuth_min_rad,
-            observed.window.azimuth_max_rad,
-        ),
+        geometry=sample.geometry(),
     )
 
 
-def _layers_of_sample(
-    observed: ObservedFrame,
-    variant: int,
-    samples: Sequence[SceneSample],
-    draws: Draws,
-    layout: _Layout,
-    config: FactoryConfig,
-) -> dict[str, Array]:
-    """(H, W) images of all requested layers, by name.
+class ObservedSample:
+    """One variant of an observed frame; each of its images is made when it is first used."""
 
-    samples: one for each group of beams.
-    """
-    requested_layers = config.dataset.layers
-    layers = dict(observed.layers)
-    for name, values in _measured_values(samples, draws, config).items():
-        layers[name] = lay_out_nearest(values, observed.window, config.sonar)
-    if "effects" in requested_layers:
-        for name in draws.names:
-            grey = _by_beam_group([sample.noisy({name}) for sample in samples])
-            layers[f"layers/{name}"] = layout.image(grey, is_noisy=True)
-    if "static" in requested_layers:
-        static_scene = observed.scene.static or observed.scene
-        static_clean = static_scene.sample(variant, draws.effects).clean
-        layers["static"] = layout.image(static_clean, is_noisy=False)
-    if "mean" in requested_layers:
-        coherent_samples = [sample for sample in samples if isinstance(sample, CoherentSample)]
-        mean = _by_beam_group([sample.mean for sample in coherent_samples])
-        layers["mean"] = layout.image(mean, is_noisy=False)
-    return layers
+    def __init__(
+        self,
+        observed: ObservedFrame,
+        variant: int,
+        config: FactoryConfig,
+        device: devices.DrawnDevice | None = None,
+    ) -> None:
+        """See `make_pair`."""
+        self.observed = observed
+        self._variant = variant
+        self._config = config
+        self._device = device
+        names = StreamNames.of(observed.ref, variant, observed.has_pose)
+        self._draws = draw(config.noise, config.seed, names, continuous=observed.continuous)
+        # One sample for each group of beams.
+        scenes = observed.scene, *observed.later_groups
+        self._samples = [scene.sample(variant, self._draws.effects) for scene in scenes]
+        self._layout = _Layout(observed.window, config, is_drawn=device is not None)
 
+    @cached_property
+    def noisy_grey(self) -> Float32s:
+        """(range_bins, beams) grey values of the noisy image."""
+        return _by_beam_group([sample.noisy(self._draws.names) for sample in self._samples])
 
-def _visibility(
-    samples: Sequence[SceneSample],
-    layout: _Layout,
-    instance: UInt16s,
-    config: FactoryConfig,
-) -> dict[str, float | str]:
-    """The column `visibility`: in the mean of noisy images, whose noise hides what is faint.
+    @cached_property
+    def noisy(self) -> Array:
+        """(H, W) the noisy image, as datasets store it."""
+        return self._layout.image(self.noisy_grey, is_noisy=True)
 
-    Images of points have no mean, and noise of points hides nothing: their clean image counts.
-    """
-    expected_images = [
-        sample.mean if isinstance(sample, CoherentSample) else sample.clean for sample in samples
-    ]
-    return visibility_row(
-        layout.image(_by_beam_group(expected_images), is_noisy=False),
-        instance,
-        layout.inside(),
-        config.sonar.transfer,
-        "amplitude" if _has_conical_beams(config) else "intensity",
-    )
+    @cached_property
+    def clean(self) -> Array:
+        """(H, W) the clean image, as datasets store it."""
+        grey = _by_beam_group([sample.clean for sample in self._samples])
+        return self._layout.image(grey, is_noisy=False)
 
+    def image_as(self, layout: Literal["polar", "fan"]) -> Array:
+        """The noisy image in another layout than the device's."""
+        config = self._config
+        if config.sonar.image.layout == layout:
+            return self.noisy
+        image = replace(config.sonar.image, layout=layout)
+        config = replace(config, sonar=replace(config.sonar, image=image))
+        layout_of_image = _Layout(self.observed.window, config, is_drawn=False)
+        return layout_of_image.image(self.noisy_grey, is_noisy=True)
 
-def _measured_values(
-    samples: Sequence[SceneSample], draws: Draws, config: FactoryConfig
-) -> dict[str, Array]:
-    """(range_bins, beams) of the measured layers, by name; each beam from the sample of its group.
+    def geometry(self) -> FanGeometry:
+        """Where range and bearing are in the images."""
+        window = self.observed.window
+        return FanGeometry.from_sonar(
+            self._config.sonar,
+            window.range_min_m,
+            window.range_max_m,
+            window.azimuth_min_rad,
+            window.azimuth_max_rad,
+        )
 
-    samples: one for each group of beams.
-    """
-    measured = [sample.measured(draws.names, config.dataset.layers) for sample in samples]
-    return {name: _by_beam_group([values[name] for values in measured]) for name in measured[0]}
+    def record(self) -> dict[str, float | int | str]:
+        """All values of the sample table."""
+        config = self._config
+        device = self._device
+        # Images of drawn devices have the columns of the coherent ones, whatever formed them.
+        formation = config.acoustics.formation if device is None else "coherent"
+        observed = self.observed
+        row = record(
+            observed.ref, self._variant, observed.window, config.sonar, self._samples[0],
+            self._draws, formation,
+        )  # fmt: skip
+        if device is not None:
+            row |= device.row()
+        row |= observed.columns
+        if "visibility" in config.dataset.columns:
+            row |= self._visibility()
+        return row
+
+    @cached_property
+    def layers(self) -> dict[str, Array]:
+        """(H, W) images of all requested layers, by name."""
+        config = self._config
+        requested_layers = config.dataset.layers
+        layers = dict(self.observed.layers)
+        for name, values in self.measured(requested_layers).items():
+            layers[name] = lay_out_nearest(values, self.observed.window, config.sonar)
+        if "effects" in requested_layers:
+            for name in self._draws.names:
+                grey = _by_beam_group([sample.noisy({name}) for sample in self._samples])
+                layers[f"layers/{name}"] = self._layout.image(grey, is_noisy=True)
+        if "static" in requested_layers:
+            static_scene = self.observed.scene.static or self.observed.scene
+            static_clean = static_scene.sample(self._variant, self._draws.effects).clean
+            layers["static"] = self._layout.image(static_clean, is_noisy=False)
+        if "mean" in requested_layers:
+            layers["mean"] = self._layout.image(self._expected_grey(), is_noisy=False)
+        return layers
+
+    def measured(self, names: Collection[str]) -> dict[str, Array]:
+        """(range_bins, beams) of the named measured layers; each beam from its group's sample."""
+        measured = [sample.measured(self._draws.names, names) for sample in self._samples]
+        return {name: _by_beam_group([values[name] for values in measured]) for name in measured[0]}
+
+    def _expected_grey(self) -> Float32s:
+        """The mean of noisy images; images of points have none, and their clean image counts."""
+        return _by_beam_group(
+            [
+                sample.mean if isinstance(sample, CoherentSample) else sample.clean
+                for sample in self._samples
+            ]
+        )
+
+    def _visibility(self) -> dict[str, float | str]:
+        """The column `visibility`: in the mean of noisy images, whose noise hides what is faint."""
+        return visibility_row(
+            self._layout.image(self._expected_grey(), is_noisy=False),
+            np.asarray(self.layers["instance"], np.uint16),
+            self._layout.inside(),
+            self._config.sonar.transfer,
+            "amplitude" if _has_conical_beams(self._config) else "intensity",
+        )
 
 
 class _Layout:

@@ -200,9 +200,21 @@ class MeshReader:
     def load(self, ref: FrameRef) -> Frame:
         """See `Reader`."""
         settings = self._settings
+        frame = self._take(ref, self._viewpoint(ref.scene, ref.frame), settings.boxes)
+        return replace(frame, time_s=settings.time_s(ref))
+
+    def load_at(self, ref: FrameRef, world_from_camera: Float64s, *, boxes: bool) -> Frame:
+        """Take the frame of a camera at a (4, 4) pose in the axes of recorded poses, z up."""
+        return self._take(ref, self._pose_at(world_from_camera), boxes)
+
+    def _pose_at(self, world_from_camera: Float64s) -> Pose:
+        eye = world_from_camera[:3, 3] - self._world.origin_m
+        return Pose(eye, np.ascontiguousarray(world_from_camera[:3, :3]))
+
+    def _take(self, ref: FrameRef, viewpoint: Pose, boxes: bool) -> Frame:
+        settings = self._settings
         world = self._world
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
-        viewpoint = self._viewpoint(ref.scene, ref.frame)
         z_buffer = ZBuffer(viewpoint, optics, world.objects)
         segmentation, instance = z_buffer.shown
         frame = Frame(
@@ -213,9 +225,8 @@ class MeshReader:
             world_from_camera=viewpoint.matrix,
             segmentation=segmentation,
             instance=instance,
-            time_s=settings.time_s(ref),
             altitude_m=self._altitude_m(viewpoint.eye),
-            boxes=z_buffer.boxes(instance) if settings.boxes else None,
+            boxes=z_buffer.boxes(instance) if boxes else None,
             surroundings=self._cached_surroundings(ref.scene) if settings.is_recording else None,
         )
         try:
@@ -231,9 +242,7 @@ class MeshReader:
         view = int(frame)
         if settings.poses is not None:
             recorded = Path(settings.poses).expanduser()
-            matrix = optical_trajectory(recorded, settings.poses_frame)[1][view]
-            eye = matrix[:3, 3] - self._world.origin_m
-            return Pose(eye, np.ascontiguousarray(matrix[:3, :3]))
+            return self._pose_at(optical_trajectory(recorded, settings.poses_frame)[1][view])
         time_s = view / (settings.frame_rate_hz or 1.0)
         stance = Stance.drawn(
             settings.camera_altitude_m,

@@ -59,9 +59,14 @@ def optical_trajectory(path: Path, frame: PosesFrame) -> tuple[Float64s, Float64
     Raises FactoryError as `trajectory` does.
     """
     times_s, stored = trajectory(path)
+    return times_s, optical_poses(stored, frame)
+
+
+def optical_poses(stored: Float64s, frame: PosesFrame) -> Float64s:
+    """(N, 4, 4) poses of optical axes in a world whose z points up, of those in other axes."""
     poses = stored.copy()
     poses[:, :3, :3] = stored[:, :3, :3] @ _OPTICAL_IN_BODY[frame]
-    return times_s, _TURNED_OVER @ poses if frame == "ned" else poses
+    return np.asarray(_TURNED_OVER @ poses) if frame == "ned" else poses
 
 
 def axes_remark(frame: PosesFrame, forward: Float64s) -> str:
@@ -107,10 +112,15 @@ def trajectory(path: Path) -> tuple[Float64s, Float64s]:
     if not length.all():
         number, line_text = lines[int(np.argmin(length))]
         raise FactoryError(f"{path}:{number}: expected a rotation, got {line_text[:60]!r}")
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, :3] = _rotations(table[:, 4:] / length)
-    poses[:, :3, 3] = table[:, 1:4]
-    return table[:, 0], poses
+    return table[:, 0], pose_matrices(table[:, 1:4], table[:, 4:] / length)
+
+
+def pose_matrices(positions_m: Float64s, quaternions: Float64s) -> Float64s:
+    """(N, 4, 4) poses of positions (N, 3) and unit quaternions (N, 4), x, y, z, w."""
+    poses = np.tile(np.eye(4), (len(positions_m), 1, 1))
+    poses[:, :3, :3] = _rotations(quaternions)
+    poses[:, :3, 3] = positions_m
+    return poses
 
 
 def _rotations(quaternions: Float64s) -> Float64s:

@@ -1,8 +1,7 @@
 """The steps by which `fan_finder` finds a fan, one idea a module.
 
 levels: grey values, and the largest that counts as black.  lit_area: the part of an image that may
-hold a fan.  first_guess: an outline to start from.  outline: the parameters that a fit varies.
-sector: the sector of an outline.  lit_pixels: counts of pixels in a sector.  kernels: the loops of
-both, compiled.  likelihood: how well a sector explains the lit pixels.  fit: the likeliest sector.
+hold a fan.  first_guess: an outline to start from.  sector: sectors and outlines, which a fit
+varies.  lit_pixels: counts of pixels in a sector.  fit: the likeliest sector.
 confidence: the share of an outline that the image shows.  drawn_lines: fans bounded by white lines.
 """

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ....factory.common.array_types import Bools, Float64s
 from ....factory.dataset.fan_geometry import FanGeometry
-from .sampling import nearest_pixels, sample_nearest
+from .lit_pixels import nearest_pixels, sample_nearest
 
 _MIN_INNER_SHARE = 0.1  # share of lit pixels just inside the outline
 _OUTER_OF_INNER = 0.35  # share of lit pixels just outside, as a part of that

@@ -11,7 +11,7 @@ import numpy as np
 
 from ....factory.common.array_types import UInt8s
 from ....factory.dataset.fan_geometry import FanGeometry
-from .sampling import sample_nearest
+from .lit_pixels import sample_nearest
 
 _WHITE = 200  # of 255
 _MAX_LINE_SHARE = 0.05  # of the image: more thin bright pixels are speckle

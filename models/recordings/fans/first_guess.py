@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ....factory.common.array_types import Array, Bools, Float32s, Float64s
-from .outline import AnchorRows, Outline
+from .sector import AnchorRows, Outline
 
 _THUMBNAIL_PX = 160  # longest side
 _MIN_LIT_SHARE = 0.05  # of a pixel of the thumbnail that is not black

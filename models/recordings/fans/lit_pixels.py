@@ -1,4 +1,4 @@
-"""Counts the pixels, and the lit pixels, that lie in a sector of an image."""
+"""Pixels of an image: how many lie in a sector, lit and all, and those nearest to points."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from ....factory.common.array_types import Bools, Float64s, Int64s
+from ....factory.common.array_types import Array, Bools, Float64s, Int64s
 from .sector import Sector, row_spans
 
 
@@ -90,3 +91,30 @@ class LitPixels:
         upper_area, lower_area = np.add.reduce(borders, axis=-1)
         upper_lit, lower_lit = np.add.reduce(lit_above, axis=-1)
         return PixelCounts(lower_area - upper_area, lower_lit - upper_lit)
+
+
+class Samples(NamedTuple):
+    """Values of the pixels nearest to points, 0 outside the image, and which are inside."""
+
+    values: Array
+    is_inside: Bools
+
+
+def nearest_pixels(
+    row: Float64s, column: Float64s, height: int, width: int
+) -> npt.NDArray[np.intp]:
+    """Index of the nearest pixel in the flattened image for each point; -1 outside the image."""
+    row, column = np.broadcast_arrays(row, column)
+    nearest_row = np.rint(row).astype(np.intp)
+    nearest_column = np.rint(column).astype(np.intp)
+    is_inside = (nearest_row >= 0) & (nearest_row < height)
+    is_inside &= (nearest_column >= 0) & (nearest_column < width)
+    return np.where(is_inside, nearest_row * width + nearest_column, -1)
+
+
+def sample_nearest(image: Array, row: Float64s, column: Float64s) -> Samples:
+    """Sample an image (H, W) at points."""
+    pixels = nearest_pixels(row, column, *image.shape)
+    is_inside = pixels >= 0
+    values = image.ravel()[np.maximum(pixels, 0)]
+    return Samples(is_inside * values, is_inside)

@@ -19,11 +19,11 @@ from simnfnd.evaluation.judging.methods import Method
 from simnfnd.evaluation.judging.recorded import RecordedImage, open_input, open_real
 from simnfnd.evaluation.metrics.measure import MeasuredImage
 from simnfnd.evaluation.real import in_time
-from simnfnd.evaluation.real.groups import Group, judged, nearest, parts_of, search, sector_of
+from simnfnd.evaluation.real.groups import Group, judged, nearest, search, sector_of
 from simnfnd.factory.common.array_types import Array, Float32s, UInt8s
 from simnfnd.factory.common.workers.tasks import TaskPool
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
-from simnfnd.models.recordings.static import aligned, moving, shift_px
+from simnfnd.models.recordings.static import aligned, moving
 from tests.evaluation.evaluation_settings import BROKEN
 
 MDD_SHAPE = (480, 320)
@@ -173,13 +173,6 @@ def recording(path: Path, seed: int, count: int) -> Group:
     return Group(path.name, shots, np.zeros((count, 2)), None, np.ones(SHAPE, bool), 1.0)
 
 
-@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.7), (-2.25, 1.5)])
-def test_a_shift_is_found_to_a_tenth_of_a_pixel(shift: tuple[float, float]) -> None:
-    rng = np.random.default_rng(1)
-    fixed, moved = (frame(0, rng, 0.04, shift_px) for shift_px in ((0.0, 0.0), shift))
-    assert shift_px(fixed, moved, SECTOR) == pytest.approx(shift, abs=0.1)
-
-
 def test_frames_that_moved_too_far_are_left_out() -> None:
     rng = np.random.default_rng(3)
     shifts = [(0.0, 0.0), (1.0, 0.0), (9.0, 0.0), (0.0, -1.0)]
@@ -239,7 +232,12 @@ def test_a_shuffled_folder_is_judged_by_its_groups(tmp_path: Path) -> None:
 def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -> None:
     path = tmp_path / "dive.avi"
     recording(path, 3, 9)
-    content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8")
+    theirs = tmp_path / "theirs" / "dive"
+    theirs.mkdir(parents=True)
+    for number, image in enumerate(stored(3, 9)):
+        cv2.imwrite(str(theirs / f"{number:06d}.png"), cv2.GaussianBlur(image, (0, 0), 1.5))
+    pictures = f"pictures=[{{name: theirs, dir: {theirs.parent}}}]"
+    content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8", pictures)
     (actual,) = content["groups"]
     assert actual["frames"] == [f"dive.avi#{number}" for number in range(8)]
     assert actual["judged"] == actual["frames"][4:]
@@ -247,6 +245,7 @@ def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -
     rows = {row["label"]: row for row in content["rows"]}
     assert mean(rows["gaussian tuned on others"], "gain_db") > 3
     assert rows["noisy"]["metrics"]["psnr"]["low"] is None
+    assert mean(rows["theirs"], "gain_db") > 3
 
 
 def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
@@ -257,19 +256,6 @@ def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
     assert judged_frame.reference[0, 0] * 255 == pytest.approx((sum(values) - 20) / 9, rel=1e-5)
     assert nearest(10, 5, 7) == [2, 3, 4, 5, 6, 7, 8]
     assert nearest(10, 9, 7) == [3, 4, 5, 6, 7, 8, 9]
-
-
-def test_filters_are_tuned_on_other_frames_than_they_judge(tmp_path: Path) -> None:
-    shared = group(tmp_path, [50] * 8)
-    (part,) = parts_of([shared])
-    assert part.judged == (4, 5, 6, 7)
-    assert part.tuning == {0: (0, 1, 2, 3)}
-    parts = parts_of([shared] * 40)
-    for part in parts:
-        assert part.judged == tuple(range(8))
-        assert part.fold not in part.tuning
-    for fold in (0, 1):
-        assert sum(len(part.tuning.get(fold, ())) for part in parts) == 16
 
 
 def blurred(grey: Any, geometry: object = None, **more: object) -> Any:
@@ -337,6 +323,7 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         ((str(tmp_path / "black"),), "0.png: black, or smaller than 16 pixels"),
         ((plain, "limit=3"), "limit: Input should be greater than or equal to 4"),
         ((plain, f"models=[{tmp_path / 'none'}]"), "models: "),
+        ((plain, "pictures=[{name: mine, dir: none}]"), "pictures: mine: none: 1 of 1"),
     ):
         assert main(["evaluate", "real", *words, f"out={tmp_path / 'out'}", "workers=1"]) == 2
         error = capsys.readouterr().err

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,6 @@ from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.factory.production.cli.generate import run as generate
 from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.pairs.pair_maker import pair_maker
-from simnfnd.factory.simulation.sonar.fan import fan_table
 from simnfnd.factory.simulation.sonar.settings import ImageSettings, SonarSettings
 from tests.evaluation.evaluation_settings import polar_folder, sonar_image, speckle
 from tests.project_files import ROOT
@@ -44,18 +42,6 @@ def smooth(rows: int, columns: int) -> np.ndarray:
     r, c = np.mgrid[0:rows, 0:columns]
     waves = 0.2 * np.sin(r / rows * 9) + 0.2 * np.cos(c / columns * 7)
     return np.asarray(0.5 + waves, dtype=np.float32)
-
-
-def test_a_fan_of_the_factory_comes_back_as_its_polar_image() -> None:
-    near = 0.25
-    image = ImageSettings(width_px=320, height_px=480)
-    sonar = SonarSettings(hfov_deg=30, beams=64, range_bins=128, image=image)
-    polar = smooth(128, 64)
-    fan = fan_table(sonar, near).bilinear(polar)
-    geometry = FanGeometry.from_sonar(sonar, near * 8, 8.0)
-    back = to_polar(fan, geometry, Grid(128, 64))
-    assert np.abs(back - polar)[3:-3, 3:-3].max() < 0.02
-    assert geometry.range_span_m == pytest.approx(8 * (1 - near))
 
 
 def test_bearings_without_data_are_left_out_and_squeezed_images_stretched() -> None:
@@ -98,19 +84,6 @@ def test_geometry_files_and_recordings_are_checked(tmp_path: Path) -> None:
         (tmp_path / "dive.aris").write_bytes(b"no recording")
         with pytest.raises(FactoryError, match=said):
             recorded.open_real(tmp_path / name)
-
-
-def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
-    shutil.copy(LAMPREY, tmp_path / "dive.avi")
-    from_file = recorded.open_real(LAMPREY)[0]
-    from_folder = recorded.open_real(tmp_path)[0]
-    assert len(from_file) == len(from_folder) == 36
-    assert from_folder[7].name == "dive.avi#7"
-    first = from_file[0]
-    assert first.known is not None
-    sector = first.known.sector_mask(*first.read()[0].shape)
-    assert first.read()[0][sector].mean() > 20 * first.read()[0][~sector].mean()
-    assert from_file[0].known == from_file[7].known
 
 
 @pytest.mark.skipif(not ARIS.is_file(), reason="no shared data")

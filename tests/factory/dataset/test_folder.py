@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import subprocess
@@ -96,16 +95,6 @@ def test_a_folder_that_cannot_be_written_is_named_with_its_key(tmp_path: Path, f
     (tmp_path / "file").touch()
     with pytest.raises(FactoryError, match=r"dataset\.dir: "):
         check_writable(tmp_path / folder, "dataset.dir")
-
-
-def test_a_folder_is_whole_or_absent(tmp_path: Path) -> None:
-    for fails in (True, False):
-        with contextlib.suppress(ValueError), whole_folder(tmp_path / "out") as partial:
-            (partial / "a").write_bytes(b"a")
-            if fails:
-                raise ValueError
-        assert (tmp_path / "out").exists() is not fails
-    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
 
 
 @pytest.mark.parametrize("writer", [whole_file, whole_folder])

@@ -23,7 +23,7 @@ from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset import PairDataset, reader, writer
 from simnfnd.factory.dataset.manifest import load_manifest
 from simnfnd.factory.dataset.pair_dataset import Share
-from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
+from tests.factory.dataset.hostile import admit, whole, with_layers
 from tests.factory.dataset.some_shards import SOURCE, some_pairs, write
 
 SHARD = "train/shard-00000.h5"
@@ -80,17 +80,6 @@ def test_values_are_in_the_range_that_is_stated(tmp_path: Path, dtype: str, scal
         low, high = pairs.value_range
         assert (low, high) == ((0, 255) if pairs.dtype == np.uint8 else (0.0, 1.0))
         np.testing.assert_allclose(clean / high, np.asarray(PAIRS[0].clean, float) / 255, atol=1e-6)
-
-
-def test_table_and_axes_come_with_the_images(sound: Path) -> None:
-    pairs = opened(sound, split="all")
-    table = pairs.meta()
-    assert [row["scene"].decode() for row in table] == ["alpha"] * 4 + ["beta"] * 4 + ["gamma"] * 4
-    rows, columns = pairs.axes
-    assert (rows.name, rows.units, columns.name) == ("ahead", "m", "right")
-    np.testing.assert_array_equal(rows.values, SOURCE.axes()[0].values)
-    assert pairs.shape == (24, 20)
-    assert pairs.config_hash == PROVENANCE.config_hash
 
 
 def open_files(folder: Path) -> list[str]:

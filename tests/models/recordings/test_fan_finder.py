@@ -214,14 +214,3 @@ def test_mdd() -> None:
         half_deg = math.degrees(math.atan(float(row["edge_slope"]) / squeeze))
         for edge_rad in (-fan.azimuth_min_rad, fan.azimuth_max_rad):
             assert math.degrees(edge_rad) == pytest.approx(half_deg, abs=0.3)
-
-
-@pytest.mark.skipif(not (DATA / "didson").is_dir(), reason="no shared data")
-def test_didson_video() -> None:
-    capture = cv2.VideoCapture(str(DATA / "didson" / "lamprey1.avi"))
-    for _ in range(2):
-        actual = find_geometry(np.asarray(capture.read()[1]))
-        assert actual is not None
-        # 400 pixels for the device's sector of 28.8 degrees make 804 for the range.
-        assert actual.far_px == pytest.approx(804, abs=6)
-        assert math.degrees(actual.sector_rad) == pytest.approx(28.8, abs=0.6)

@@ -17,13 +17,12 @@ from simnfnd.models.recordings import is_recording, kind_of, open_recording
 from simnfnd.models.recordings.base import Beams
 from simnfnd.models.recordings.images import read_image
 from simnfnd.models.recordings.sonar_files import ArisFile, beam_centres_deg
-from simnfnd.models.recordings.views import fan_of, grey_of, polar_geometry
+from simnfnd.models.recordings.views import fan_of, frame_image, grey_of, polar_geometry
 from tests.models.recordings.recording_files import (
     DATA,
     pings,
     write_aris,
     write_ddf,
-    write_gif,
     write_log,
     write_oculus,
     write_stack,
@@ -181,18 +180,6 @@ def test_a_log_of_viewpoint(tmp_path: Path, packed: bool) -> None:
     path.write_bytes(path.read_bytes()[:26] + b"\1" + path.read_bytes()[27:])
     with pytest.raises(FactoryError, match="is encrypted"):
         open_recording(path)
-
-
-def test_an_animated_gif(tmp_path: Path) -> None:
-    grey = pings(3, 30, 40)
-    with open_recording(write_gif(tmp_path / "a.gif", grey)) as recording:
-        np.testing.assert_array_equal([frame.samples for frame in recording], grey)
-        np.testing.assert_array_equal(recording[1].samples, grey[1])
-    colours = np.zeros((2, 30, 40, 3), np.uint8)
-    colours[0, 5:] = (200, 0, 0)
-    colours[1, :9] = (0, 90, 0)
-    with open_recording(write_gif(tmp_path / "b.gif", colours)) as recording:
-        np.testing.assert_array_equal(recording[0].samples, colours[0, ..., ::-1])
 
 
 def test_video_and_images(tmp_path: Path) -> None:
@@ -360,3 +347,21 @@ def test_the_orientation_of_exif_is_applied(tmp_path: Path, suffix: str, value: 
     actual = read_image(path)
     grey = actual if actual.ndim == 2 else actual[..., 0]
     assert np.abs(grey.astype(int) - upright).max() <= 2
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14])
+def test_samples_of_few_bits_in_16_are_as_bright_as_they_look(tmp_path: Path, bits: int) -> None:
+    """A dark frame of a recording has the white of the others."""
+    grey = np.random.default_rng(0).integers(0, 256, (3, 40, 30), dtype=np.uint8)
+    grey[0] //= 5
+    grey[1, 0, 0] = 255
+    stored = grey.astype(np.uint16) << (bits - 8)
+    np.save(tmp_path / "a.npy", stored)
+    for number, frame in enumerate(grey):
+        image, _ = frame_image(tmp_path / "a.npy", number)
+        np.testing.assert_allclose(image, frame / 255, atol=0.005)
+    assert cv2.imwrite(str(tmp_path / "a.png"), stored[1])
+    np.testing.assert_allclose(frame_image(tmp_path / "a.png", 0)[0], grey[1] / 255, atol=0.005)
+    full = grey.astype(np.uint16) * 257
+    np.save(tmp_path / "full.npy", full)
+    np.testing.assert_allclose(frame_image(tmp_path / "full.npy", 0)[0], grey[0] / 255, atol=0.005)

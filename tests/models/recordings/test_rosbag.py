@@ -159,7 +159,7 @@ def test_which_topics_are_frames(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "a.mcap", both)
     with pytest.raises(FactoryError, match=r"/front, /back.*--topic"):
         open_recording(path)
-    with pytest.raises(FactoryError, match=r"/front, /back.*topic="):
+    with pytest.raises(FactoryError, match=r"/front, /back.*--topic"):
         simnfnd.open_recording(path)
     assert len(simnfnd.open_recording(path, topic="/front")) == 3
     assert len(simnfnd.open_recording(path, topic=["/front", "/back"])) == 5

@@ -275,27 +275,56 @@ class SeabedReader:
 
     def load(self, ref: FrameRef) -> Frame:
         """Build the location, if it is not at hand, and take the frame."""
+        settings = self._settings
+        number = int(ref.frame)
+        if (lines := self._movements()) is not None:
+            frame = self.load_moved(ref, lines[number], boxes=settings.boxes)
+        else:
+            frame = self._take(ref, None if settings.is_recording else number, settings.boxes)
+        return replace(frame, time_s=settings.time_s(ref)) if settings.is_recording else frame
+
+    def load_moved(
+        self, ref: FrameRef, movement: dict[str, float], *, boxes: bool, has_colours: bool = True
+    ) -> Frame:
+        """Take the frame of a platform that has moved since the first frame; see `camera.moved`.
+
+        has_colours: whether the image has the colours of the scene, or is black.
+        """
+        return self._take(ref, None, boxes, movement, has_colours=has_colours)
+
+    def altitude_m(self, ref: FrameRef, movement: dict[str, float]) -> float:
+        """Height above the ground of a platform that has moved since the first frame, metres."""
+        from .view import altitude_m
+
+        world = self._world(int(ref.scene.removeprefix("seabed-")))
+        return altitude_m(world, self._stance(ref), movement)
+
+    def _take(
+        self,
+        ref: FrameRef,
+        number: int | None,
+        boxes: bool,
+        movement: dict[str, float] | None = None,
+        *,
+        has_colours: bool = True,
+    ) -> Frame:
+        """Take a frame of a location.
+
+        number: of its place along the path; None: of a recording, which begins at place 0.
+        """
         # Reading a configuration imports this module, but needs nothing that makes images.
         from .view import surroundings, take
 
         settings = self._settings
         optics = optics_of(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
-        number = int(ref.frame)
-        movement = None
-        if (lines := self._movements()) is not None:
-            movement = lines[number]
-            number = 0
-        elif settings.frame_rate_hz is not None:
-            number = 0
         world = self._world(int(ref.scene.removeprefix("seabed-")))
         stance = self._stance(ref)
         frame = take(
-            world, number, ref, optics, movement, settings.boxes, stance, gaps=settings.depth_gaps
-        )
-        if settings.is_recording:
-            frame = replace(
-                frame, surroundings=surroundings(world, stance), time_s=settings.time_s(ref)
-            )
+            world, number or 0, ref, optics, movement, boxes, stance,
+            gaps=settings.depth_gaps, has_colours=has_colours,
+        )  # fmt: skip
+        if number is None:
+            frame = replace(frame, surroundings=surroundings(world, stance))
         return checked(frame)
 
     def _stance(self, ref: FrameRef) -> Stance:

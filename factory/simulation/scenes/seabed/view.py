@@ -42,12 +42,14 @@ def take(
     stance: Stance,
     *,
     gaps: bool = True,
+    has_colours: bool = True,
 ) -> Frame:
     """Take frame number `frame` of a location.
 
     The pose is the one that FLSea's camera would choose, however wide this one sees, or as its
     stance says; with a movement, of a platform that begins there.
     gaps: whether depth is missing where stereo matching would not find it.
+    has_colours: whether the image has the colours of the scene, or is black.
     """
     viewpoint = choose_pose(world, frame, stance)
     if movement is not None:
@@ -59,7 +61,10 @@ def take(
     ground = world.terrain.seen_from(viewpoint.eye, azimuths, elevations, shape)
     z_buffer = ZBuffer(viewpoint, optics, world.objects, ground.points)
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
-    rgb = camera_image(world, ground, z_buffer, rng.uniform(0.68, 0.92))
+    exposure = rng.uniform(0.68, 0.92)
+    rgb = np.zeros((optics.height, optics.width, 3), np.uint8)
+    if has_colours:
+        rgb = camera_image(world, ground, z_buffer, exposure)
     depth_m = z_buffer.depth_m
     clear_m = world.look.clear_m
     intrinsics = Intrinsics(*optics.lens)
@@ -87,6 +92,13 @@ def take(
     )
 
 
+def altitude_m(world: SeabedWorld, stance: Stance, movement: Movement) -> float:
+    """Height above the ground of a platform that has moved from the first pose, metres."""
+    eye = moved(choose_pose(world, 0, stance), movement).eye
+    return float(eye[2] - world.terrain.height_m(*eye[:2, None])[0])
+
+
+@functools.lru_cache(maxsize=2)
 def surroundings(world: SeabedWorld, stance: Stance) -> Surroundings:
     """Where the recording of a location begins, and the ground around."""
     start = choose_pose(world, 0, stance)

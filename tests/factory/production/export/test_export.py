@@ -352,21 +352,6 @@ def test_objects_are_lists_as_of_the_hub(labelled: Path, tmp_path: Path) -> None
     assert b'"List"' not in table.schema.metadata[b"huggingface"]
 
 
-def test_small_boxes_are_left_out(labelled: Path, tmp_path: Path) -> None:
-    export(labelled, "coco", tmp_path / "out", min_side_px=8)
-    sides = []
-    for path in (tmp_path / "out/annotations").iterdir():
-        sides += [min(entry["bbox"][2:]) for entry in json.loads(path.read_text())["annotations"]]
-    everything = truth(labelled, "train") + truth(labelled, "test")
-    expected = [
-        min(np.ptp(axis) + 1 for axis in mask.nonzero())
-        for masks in everything
-        for _, mask in masks
-    ]
-    assert sorted(sides) == sorted(side for side in expected if side >= 8)
-    assert len(sides) < len(expected)
-
-
 def covered(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Pixels whose centres lie inside a polygon."""
     from pycocotools import mask as tool

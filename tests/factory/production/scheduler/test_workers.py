@@ -10,7 +10,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -160,18 +159,6 @@ def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
         assert submit(workers, task, "c", "light").result(60)[0] == "c"
     finally:
         workers.close()
-
-
-def test_a_pool_that_takes_others_tasks_prefers_its_own() -> None:
-    with closing(LocalBackend((HEAVY, LIGHT))) as workers:
-        first = submit(workers, task, "a", "heavy")
-        assert not workers.free("heavy")
-        assert workers.free("light")
-        second = submit(workers, task, "b", "light")
-        _, heavy = first.result(60)
-        _, light = second.result(60)
-        assert heavy != light
-        assert submit(workers, task, "c", "heavy").result(60) == ("c", heavy)
 
 
 # A module of the standard library that nothing here imports.

@@ -10,7 +10,7 @@ import pytest
 from scipy import ndimage, stats
 
 from simnfnd.factory.common.errors import FactoryError
-from simnfnd.factory.production.cli.compose import compose_config
+from simnfnd.factory.simulation.config.compose import compose_config
 from simnfnd.factory.simulation.config.root import from_mapping, plain
 from simnfnd.factory.simulation.moving.recordings import MovingRecordings
 from simnfnd.factory.simulation.pairs.pair_maker import make_pair, observe_moment

@@ -85,24 +85,11 @@ def quantised(glb: type[Glb]) -> Glb:
     return made
 
 
-def quantised_in_steps(glb: type[Glb]) -> Glb:
-    made = glb((CORNERS * 20).astype(np.int8))
-    made.node["scale"] = [0.05, 0.05, 0.05]
-    made.document["extensionsRequired"] = ["KHR_mesh_quantization"]
-    return made
-
-
 def morphed(glb: type[Glb]) -> Glb:
     made = glb()
     target = made.add(CORNERS * np.array([0, 0, 2], np.float32))
     made.primitive["targets"] = [{"POSITION": target}]
     made.node["weights"] = [1.0]
-    return made
-
-
-def morphed_by_its_mesh(glb: type[Glb]) -> Glb:
-    made = morphed(glb)
-    made.document["meshes"][0]["weights"] = made.node.pop("weights")
     return made
 
 
@@ -132,9 +119,7 @@ def skinned(glb: type[Glb]) -> Glb:
 
 MADE: dict[str, tuple[Callable[[type[Glb]], Glb], list[float]]] = {
     "quantised": (quantised, [1, 3, 2]),
-    "quantised in steps": (quantised_in_steps, [1, 3, 2]),
     "morphed": (morphed, [1, 9, 2]),
-    "morphed by its mesh": (morphed_by_its_mesh, [1, 9, 2]),
     "sparse": (sparse, [1, 9, 2]),
     "skinned": (skinned, [1, 9, 2]),
 }

@@ -296,15 +296,6 @@ def read_file(path: Path) -> Array:
     return read_depth(path, None) if path.name.startswith("depth") else read_rgb(path)
 
 
-@pytest.mark.parametrize("name", sorted(samples()))
-def test_what_was_written_is_read(name: str, tmp_path: Path) -> None:
-    data, expected = samples()[name]
-    (tmp_path / name).write_bytes(data)
-    actual = read_file(tmp_path / name)
-    assert actual.dtype == (np.float32 if name.startswith("depth") else np.uint8)
-    np.testing.assert_allclose(actual, expected, rtol=1e-7)
-
-
 @settings(max_examples=20)
 @given(st.sampled_from(sorted(samples())), st.floats(0, 1, exclude_max=True))
 def test_a_truncated_file_is_refused_and_never_half_read(

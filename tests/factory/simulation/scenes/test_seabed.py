@@ -166,16 +166,6 @@ def test_the_table_has_every_place_and_class() -> None:
     assert set(table["finishes"]) == {*CLASSES[1:], "Fitting", "own"}
 
 
-def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
-    whole = SeabedWorld(0, PLACE_NAMES, 1.0, None)
-    fewer = SeabedWorld(0, PLACE_NAMES, 1.0, ("Tire",))
-    assert len(fewer.objects.labels) < len(whole.objects.labels)
-    x = np.linspace(-9, 9, 50, dtype=np.float32)
-    np.testing.assert_array_equal(whole.terrain.height_m(x, x), fewer.terrain.height_m(x, x))
-    np.testing.assert_array_equal(whole.path.points, fewer.path.points)
-    np.testing.assert_array_equal(whole.look.water, fewer.look.water)
-
-
 @pytest.mark.parametrize(
     ("values", "key"),
     [
