@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from ...factory.common.array_types import Int64s
@@ -17,9 +16,9 @@ from ...factory.common.errors import FactoryError
 from ...factory.common.files import real_path
 from ...models.detection.boxes import Boxes, no_boxes
 from ...models.detection.images import LabelledImage
+from ...models.recordings.views import read_grey
 
 _NAMES = ("annotations.json", "_annotations.coco.json", "instances.json")
-_MOST_SIDE_PX = 20_000
 # Larger numbers are no places in an image; NaN is not smaller, either.
 _FARTHEST_PX = 1e9
 
@@ -202,9 +201,7 @@ def _read_image(
     image_path = _find_image(root, path, name)
     if image_path is None:
         raise FactoryError(f"{path}: image {entry['id']}: no file {name} in {root} or its images/")
-    image = cv2.imread(str(image_path), cv2.IMREAD_GRAYSCALE)
-    if image is None or max(image.shape) > _MOST_SIDE_PX:
-        raise FactoryError(f"{image_path}: no image that can be read")
+    image = np.rint(255 * read_grey(image_path)).astype(np.uint8)
     height, width = image.shape
     stated = (entry.get("height", height), entry.get("width", width))
     if stated != (height, width):
@@ -232,7 +229,7 @@ def _read_image(
     labelled = LabelledImage(
         name,
         str(entry.get("group", f"image {entry['id']}")),
-        np.asarray(image, np.uint8),
+        image,
         _as_boxes(boxes),
         np.array(labels, np.int64),
     )

@@ -71,6 +71,19 @@ def test_reads_boxes_classes_and_groups(tmp_path: Path) -> None:
     assert real.images[0].ignored.tolist() == [[0, 0, 9, 9]]
 
 
+def test_images_of_ten_bits_and_of_a_colour_map_are_read_as_they_look(tmp_path: Path) -> None:
+    folder = write_coco(tmp_path / "tank", coco_content())
+    plain = read_coco(folder)
+    for number, path in enumerate(sorted((folder / "images").iterdir())):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert grey is not None
+        painted = cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS)
+        cv2.imwrite(str(path), painted if number % 2 else grey.astype(np.uint16) * 4)
+    for before, after in zip(plain.images, read_coco(folder).images, strict=True):
+        apart = before.labelled.image.astype(int) - after.labelled.image
+        assert np.abs(apart).max() <= 3
+
+
 @pytest.mark.parametrize("mark", ["iscrowd", "ignore"])
 def test_crowds_are_no_objects_and_hide_none(tmp_path: Path, mark: str) -> None:
     read = read_coco(write_coco(tmp_path / "plain", coco_content()))
