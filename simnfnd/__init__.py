@@ -28,13 +28,14 @@ if TYPE_CHECKING:
     from .factory.dataset import PairDataset
     from .factory.dataset.fan_geometry import FanGeometry
     from .factory.dataset.schema import Pair
-    from .factory.simulation.pairs.pings import Ping, Pose
+    from .factory.simulation.pings.ping import Ping
+    from .factory.simulation.pings.pose import Pose
+    from .factory.simulation.pings.sonar import Sonar
     from .live import Denoiser
     from .making import DatasetResult, make_dataset, make_pair
     from .models.data.pair_stream import PairStream
     from .models.detection.objects import DetectedObject
     from .models.recordings.base import Beams
-    from .pinging import Sonar
 
 __path__ = search_path(Path(__file__).parent)
 
@@ -77,11 +78,11 @@ _MODULES = {
     "Pair": "factory.dataset.schema",
     "PairDataset": "factory.dataset",
     "PairStream": "models.data.pair_stream",
-    "Ping": "factory.simulation.pairs.pings",
-    "Pose": "factory.simulation.pairs.pings",
+    "Ping": "factory.simulation.pings.ping",
+    "Pose": "factory.simulation.pings.pose",
     "RecordedFrame": "api",
     "RunProgress": "factory.common.progress",
-    "Sonar": "pinging",
+    "Sonar": "factory.simulation.pings.sonar",
     "__version__": "factory",
     "denoise": "api",
     "detect": "detecting",

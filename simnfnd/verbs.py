@@ -55,6 +55,15 @@ VERBS: dict[str, Verb] = {
         ),
         config="factory",
     ),
+    "stream": Verb(
+        MAKE, "sail a sonar along a trajectory, into an MCAP file for ROS 2",
+        f"{_COMMANDS}.stream:main",
+        (
+            "simnfnd stream --path circle --count 200 --out outputs/dive sonar=oculus_m750d_hf",
+            "simnfnd stream --path examples/platform.csv --out outputs/platform --realtime",
+        ),
+        needs=("rosbags", *_SONAR),
+    ),
     "plan": Verb(
         MAKE, "estimate what `make` would make, and its disk, memory and time",
         f"{_COMMANDS}.plan:main",

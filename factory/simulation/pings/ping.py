@@ -1,71 +1,27 @@
-"""Pings of a sonar at poses that the caller chooses; an image is made when it is read."""
+"""One ping at a pose: images, points and labels, each made when it is read."""
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ...common.array_types import Array, Float32s, UInt8s, UInt16s
-from ...common.errors import FactoryError
 from ...dataset.fan_geometry import FanGeometry
 from ...dataset.meaning import class_names
 from ..imaging import layers as truth
 from ..labels.boxes_column import boxes_row
-from .pair_maker import ObservedFrame, ObservedSample
-from .requested_columns import pose_row
+from ..pairs.pair_maker import ObservedFrame, ObservedSample
+from ..pairs.requested_columns import pose_row
+from .pose import Pose
 
 _POINT = np.dtype(
     [(axis, "<f4") for axis in "xyz"] + [("strength", "<f4"), ("class", "u1"), ("instance", "<u2")]
 )
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where a sonar's camera is and how it is turned.
-
-    In procedural places, as a line of `scenes.path`, from the scene's first pose on: surge_m is
-    forward, sway_m to the left, heave_m up; yaw_deg turns left, pitch_deg looks down, roll_deg
-    lowers the right side.
-    In meshes, as a line of `scenes.poses`, in axes of `scenes.poses_frame`: position_m (x, y, z)
-    and quaternion (x, y, z, w), camera to world.
-    Raises FactoryError for numbers that are not finite, and a quaternion that is no rotation.
-    """
-
-    surge_m: float = 0.0
-    sway_m: float = 0.0
-    heave_m: float = 0.0
-    roll_deg: float = 0.0
-    pitch_deg: float = 0.0
-    yaw_deg: float = 0.0
-    position_m: tuple[float, float, float] | None = None
-    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        """Refuse what is no pose."""
-        for item in fields(self):
-            value = getattr(self, item.name)
-            try:
-                is_finite = value is None or bool(np.isfinite(np.asarray(value, float)).all())
-            except (TypeError, ValueError):
-                is_finite = False
-            if not is_finite:
-                raise FactoryError(f"pose: {item.name}={value!r} is no finite number")
-        if self.position_m is not None and len(self.position_m) != 3:
-            raise FactoryError("pose: position_m has three numbers: x, y, z")
-        if len(self.quaternion) != 4 or not any(self.quaternion):
-            raise FactoryError("pose: quaternion is no rotation; give x, y, z, w")
-
-    @property
-    def movement(self) -> dict[str, float]:
-        """The columns of a line of `scenes.path`."""
-        names = ("surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
-        return {name: float(getattr(self, name)) for name in names}
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,17 +128,3 @@ class Ping:
         """Position and quaternion of camera and sonar in the world, as column `pose` has them."""
         observed = self._sample.observed
         return dict(pose_row(observed.lit.frame, observed.config.sonar.mount))
-
-
-def checked_index(index: int) -> int:
-    """The number of a ping.  Raises FactoryError for what is none."""
-    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index <= 9999:
-        raise FactoryError(f"index={index!r}: expected a whole number from 0 to 9999")
-    return index
-
-
-def checked_time_s(time_s: float) -> float:
-    """The time of a ping.  Raises FactoryError for what is none."""
-    if not isinstance(time_s, int | float) or not math.isfinite(time_s) or time_s < 0:
-        raise FactoryError(f"time_s={time_s!r}: expected seconds from the beginning of the scene")
-    return float(time_s)

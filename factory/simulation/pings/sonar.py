@@ -8,18 +8,29 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
+from types import TracebackType
+from typing import Any
 
 import numpy as np
 
-from .factory.common.errors import FactoryError, FrameError
-
-if TYPE_CHECKING:
-    from types import TracebackType
-
-    from .factory.simulation.frames.frame import Frame
-    from .factory.simulation.pairs.pair_maker import ObservedFrame
-    from .factory.simulation.pairs.pings import Ping, Pose
+from ...common.errors import FactoryError, FrameError
+from ...common.extras import require
+from ..config.compose import compose_config
+from ..config.needs import needs_of
+from ..config.renderer_choice import renderer_of
+from ..config.root import plain
+from ..frames.frame import Frame
+from ..moving.recordings import MovingRecordings
+from ..pairs.compilation import compile_needed
+from ..pairs.pair_maker import ObservedFrame, ObservedSample, observe_moment
+from ..render import open_renderer
+from ..render.view import view_of
+from ..scenes import open_reader
+from ..scenes.mesh import MeshReader, MeshSettings
+from ..scenes.poses import optical_poses, pose_matrices
+from ..scenes.seabed import SeabedReader
+from .ping import Ping
+from .pose import Pose, checked_index, checked_time_s
 
 # A stream shows every ping on one scale and in one window.
 _WORDS = (
@@ -57,15 +68,6 @@ class Sonar:
         Raises FactoryError for unknown names and keys, scenes whose poses are recorded, and drawn
         devices.
         """
-        from .factory.common.extras import require
-        from .factory.simulation.config.compose import compose_config
-        from .factory.simulation.config.needs import needs_of
-        from .factory.simulation.config.renderer_choice import renderer_of
-        from .factory.simulation.moving.recordings import MovingRecordings
-        from .factory.simulation.pairs.compilation import compile_needed
-        from .factory.simulation.render import open_renderer
-        from .factory.simulation.scenes import open_reader
-
         if scene not in ("seabed", "mesh"):
             raise FactoryError(
                 f"scene={scene}: its poses are recorded; seabed and mesh take any pose"
@@ -94,6 +96,11 @@ class Sonar:
         self._lock = Lock()
         self._is_closed = False
 
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """The whole configuration, as plain values."""
+        return plain(self._config)
+
     def ping(
         self, pose: Pose | None = None, *, index: int = 0, time_s: float | None = None
     ) -> Ping:
@@ -104,9 +111,6 @@ class Sonar:
             scene's frame rate, 10 Hz if it has none.
         Raises FactoryError for a sonar that is closed and a pose that shows nothing of the scene.
         """
-        from .factory.simulation.pairs.pair_maker import ObservedSample
-        from .factory.simulation.pairs.pings import Ping, Pose, checked_index, checked_time_s
-
         pose = pose or Pose()
         number = checked_index(index)
         rate_hz = getattr(self._config.scenes, "frame_rate_hz", None) or _RATE_HZ
@@ -137,8 +141,6 @@ class Sonar:
         self.close()
 
     def _observe(self, pose: Pose, index: int, time_s: float, *, has_boxes: bool) -> ObservedFrame:
-        from .factory.simulation.pairs.pair_maker import observe_moment
-        from .factory.simulation.render.view import view_of
 
         if self._is_closed:
             raise FactoryError("sonar: is closed; open another one")
@@ -157,10 +159,6 @@ class Sonar:
 
     def _load(self, pose: Pose, index: int, has_boxes: bool) -> Frame:
         """The frame of the scene's camera at a pose."""
-        from .factory.simulation.scenes.mesh import MeshReader, MeshSettings
-        from .factory.simulation.scenes.poses import optical_poses, pose_matrices
-        from .factory.simulation.scenes.seabed import SeabedReader
-
         ref = replace(self._ref, frame=f"{index:04d}")
         settings = self._config.scenes
         if isinstance(self._reader, MeshReader) and isinstance(settings, MeshSettings):
