@@ -23,6 +23,7 @@ from .verbs import RENAMED, VERBS, Verb
 
 _HELP = ("-h", "--help")
 # Not imported from the factory: help and mistakes must answer at once.
+KEPT = "what was finished is kept, run again to go on"
 _MANIFEST = "manifest.json"
 # Hydra prints something with these and does nothing.
 _SHOW = (*_HELP, "--cfg", "-c", "--info", "-i", "--hydra-help")
@@ -65,7 +66,12 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         action = getattr(import_module(module), function)
         # One way to stop for all: SIGTERM unwinds as Ctrl-C does, so that every `finally` runs.
         with stop_signals(), config_folders(folders):
-            code: int | None = action(rest)
+            try:
+                code: int | None = action(rest)
+            except KeyboardInterrupt as stopped:
+                if verb.resumes and not getattr(stopped, "kept", ""):
+                    stopped.kept = KEPT  # type: ignore[attr-defined]
+                raise
         return code
 
     return guard(run, debug="debug=true" in arguments)

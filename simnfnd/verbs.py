@@ -15,6 +15,7 @@ class Verb(NamedTuple):
     target: "module:function"; the function gets the other words and may return an exit code.
     examples: commands that `simnfnd VERB --help` begins with.
     needs: modules without which it can do nothing, each of an extra (`common.extras`).
+    resumes: whether the same command goes on where it was interrupted.
     config: name of the root configuration whose keys its words set, KEY=VALUE; "": it has options.
     """
 
@@ -24,6 +25,7 @@ class Verb(NamedTuple):
     examples: tuple[str, ...]
     needs: tuple[str, ...] = ()
     config: str = ""
+    resumes: bool = False
 
 
 MAKE = "Make datasets"
@@ -42,7 +44,7 @@ VERBS: dict[str, Verb] = {
         MAKE, "make two small datasets, with the paper's points and by the sonar equation",
         f"{_COMMANDS}.make:demo",
         ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
-        config="factory",
+        config="factory", resumes=True,
     ),
     "make": Verb(
         MAKE, "make a dataset from a configuration; -m makes a sweep", f"{_COMMANDS}.make:main",
@@ -53,7 +55,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3",
             "simnfnd make experiment=demo --cfg job",
         ),
-        config="factory",
+        config="factory", resumes=True,
     ),
     "stream": Verb(
         MAKE, "sail a sonar along a trajectory, into an MCAP file for ROS 2",
@@ -134,7 +136,7 @@ VERBS: dict[str, Verb] = {
     "train": Verb(
         DENOISE, "train a denoiser on a dataset", "simnfnd.models.training:main",
         ("simnfnd train dataset=outputs/demo model=sonarnet train.steps=200 name=small",),
-        needs=_TORCH, config="models",
+        needs=_TORCH, config="models", resumes=True,
     ),
     "denoise": Verb(
         DENOISE, "denoise images, videos, datasets, recordings of sonars and bags",
@@ -147,7 +149,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd denoise lamprey.avi --out outputs/denoised --compare talk.mp4",
             "simnfnd denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd",
         ),
-        needs=_NETWORK,
+        needs=_NETWORK, resumes=True,
     ),
     "detect": Verb(
         DENOISE, "find objects in images, videos, recordings and bags; COCO, a table, overlays",
@@ -157,7 +159,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd detect image.png --out outputs/found --overlay",
             "simnfnd detect mdd/Images --out outputs/found --threshold 0.3 --classes Tire,Bottle",
         ),
-        needs=_NETWORK,
+        needs=_NETWORK, resumes=True,
     ),
     "adapt": Verb(
         DENOISE, "fit weights to your own recordings, without ground truth",
@@ -243,7 +245,7 @@ VERBS: dict[str, Verb] = {
         ("simnfnd evaluate fit mdd name=mine trials=100",
          "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
          "scenes.root=views.pack"),
-        needs=("optuna", "skimage", *_SONAR), config="fit",
+        needs=("optuna", "skimage", *_SONAR), config="fit", resumes=True,
     ),
 }  # fmt: skip
 

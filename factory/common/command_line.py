@@ -16,16 +16,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from .errors import FactoryError
+from .errors import OS_REMEDIES, FactoryError
 
 EXIT_BAD_INPUT = 2
 _OF_THE_MACHINE = {
     *(errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EROFS),
     *(errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ESTALE, errno.ENOMEM),
-}
-_HINTS = {
-    errno.EMFILE: "raise `ulimit -n`, or give fewer scheduler.workers",
-    errno.ENOMEM: "raise `ulimit -v`, or give fewer scheduler.workers",
 }
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
@@ -69,17 +65,18 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
         if debug or error.errno not in _OF_THE_MACHINE:
             raise
         place = error.filename if isinstance(error.filename, str | os.PathLike) else "system"
-        hint = _HINTS.get(error.errno, "see that it can be used")
+        hint = OS_REMEDIES.get(error.errno, "see that it can be used")
         return say_error(FactoryError(f"{os.fspath(place)}: {error.strerror}; {hint}"))
     except MemoryError:
         if debug:
             raise
-        hint = _HINTS[errno.ENOMEM]
+        hint = OS_REMEDIES[errno.ENOMEM]
         return say_error(FactoryError(f"memory: not enough of it; {hint}"))
     except KeyboardInterrupt as stopped:
-        # Who knows better what is kept says so in the exception.
-        kept_note = getattr(stopped, "kept", "what was finished is kept, run again to go on")
-        print(f"error: {getattr(stopped, 'said', f'interrupted; {kept_note}')}", file=sys.stderr)
+        # Who knows what is kept says so in the exception.
+        kept_note = getattr(stopped, "kept", "")
+        said = f"interrupted; {kept_note}" if kept_note else "interrupted"
+        print(f"error: {getattr(stopped, 'said', said)}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
 

@@ -5,6 +5,20 @@ Anything else that escapes is a defect of ours and keeps its traceback.
 
 from __future__ import annotations
 
+import errno
+
+OS_REMEDIES = {
+    errno.EACCES: "allow this user to read and write it",
+    errno.EPERM: "allow this user to read and write it",
+    errno.EMFILE: "raise `ulimit -n`, or give fewer scheduler.workers",
+    errno.ENOMEM: "raise `ulimit -v`, or give fewer scheduler.workers",
+    errno.ENOSPC: "make room on the disk",
+    errno.EROFS: "the disk may only be read",
+    errno.EIO: "the disk or its network fails",
+    errno.ESTALE: "mount its network folder again",
+}
+"""errno of the machine's own troubles -> what helps; no file is to blame for them."""
+
 MOST_LISTED = 8
 """Things of one kind that a message lists."""
 

@@ -22,7 +22,7 @@ class Interrupted(KeyboardInterrupt):
     kept: what the line on stderr says of the work; who catches it may set it and raise it again.
     """
 
-    kept = "what was finished is kept, run again to go on"
+    kept = ""
 
     def __init__(self, number: int) -> None:
         super().__init__(f"stopped by {signal.Signals(number).name}")

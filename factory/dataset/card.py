@@ -64,6 +64,7 @@ def write_card(
         _scene_table(pairs),
         "## How to read it",
         _reading_example(pairs, directory),
+        _repair(manifest),
         "## What the numbers mean",
         _meanings(pairs, provenance.config),
         "## Licence",
@@ -160,6 +161,23 @@ image. `index.h5` joins the shards of small datasets (`index["train/noisy"][0]`)
 those of large ones (`index["train/shard-00000/noisy"][0]`). `manifest.json` lists the shards with \
 their SHA-256, `config.yaml` every setting. `simnfnd validate` checks a copy, `simnfnd export` \
 writes other formats."""
+
+
+def _repair(manifest: Manifest) -> str:
+    """How to make one shard again; "" for a dataset that was put together of others."""
+    if {"merged", "extends"} & set(manifest.config):
+        return ""
+    count = sum(len(manifest.of_split(split)) for split in SPLITS)
+    return f"""\
+## How to make one shard again
+
+`shard.index` counts the shards from 0, those of train first; the copy has the same bytes:
+
+```bash
+mkdir -p recipe/experiment
+(echo "# @package _global_"; cat config.yaml) > recipe/experiment/this.yaml
+simnfnd make --config-dir recipe experiment=this shard.index=0 shard.count={count} dataset.dir=again
+```"""
 
 
 def _meanings(pairs: PairDataset, config: Mapping[str, Any]) -> str:

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from ..common.array_types import Array
-from ..common.errors import FactoryError
+from ..common.errors import OS_REMEDIES, FactoryError
 from ..common.isolated import LIMIT_S, call_isolated
 from .layout import DEFLATE, check_shard, check_texts, crc32
 from .manifest import Manifest, ShardInfo, damage, is_inside
@@ -114,9 +114,7 @@ def open_shard(path: Path) -> h5py.File:
         # of the time of an uncompressed one) and hold megabytes for every open dataset.
         file = h5py.File(path, "r", rdcc_nbytes=0)
     except OSError as error:
-        absent = isinstance(error, FileNotFoundError)
-        problem = "listed in the manifest but absent" if absent else "not a readable HDF5 file"
-        raise FactoryError(f"{path}: {problem}; generate it again") from error
+        raise FactoryError(f"{path}: {_cause_of(error)}") from error
     if _sound.get(path) == state:
         return file
     try:
@@ -135,6 +133,15 @@ def open_shard(path: Path) -> h5py.File:
     return file
 
 
+def _cause_of(error: OSError) -> str:
+    """Why a shard cannot be opened, and what helps."""
+    if isinstance(error, FileNotFoundError):
+        return "listed in the manifest but absent; copy it again, or make it again (README.md)"
+    if error.errno in OS_REMEDIES:
+        return f"{os.strerror(error.errno)}; {OS_REMEDIES[error.errno]}"
+    return "not a readable HDF5 file; copy it again, or make it again (README.md)"
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[h5py.File]:
     """An open shard for the length of a `with`; damage found inside is a FactoryError, too."""
@@ -149,6 +156,8 @@ def _explained(path: Path) -> Iterator[None]:
     except FactoryError as error:
         raise FactoryError(f"{path}: {error}") from error
     except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+        if isinstance(error, OSError) and error.errno in OS_REMEDIES:
+            raise FactoryError(f"{path}: {_cause_of(error)}") from error
         # HDF5 reports damage of its own tables as almost any exception.
         reason = " ".join(str(error).split())[:120]
         raise FactoryError(f"{path}: damaged ({reason}); generate it again") from error

@@ -130,8 +130,8 @@ def test_every_verb_stops_alike(number: int, code: int, kept: str, monkeypatch, 
 
     monkeypatch.setattr(status, "main", work)
     assert run(monkeypatch, "status", "x") == code
-    said = kept or "what was finished is kept, run again to go on"
-    assert capsys.readouterr().err == f"error: interrupted; {said}\n"
+    said = f"interrupted; {kept}" if kept else "interrupted"
+    assert capsys.readouterr().err == f"error: {said}\n"
 
 
 # --- modules that are not installed -------------------------------------------------------------

@@ -17,6 +17,8 @@ from ...dataset.manifest import Manifest, load_failures, load_manifest
 from ...dataset.schema import SPLITS
 from ..scheduler.lock import owner_of
 
+_LEAST_PER_SECOND = 0.1
+
 
 def main(words: list[str]) -> int:
     """Do what `words` ask for; 1 when, with --failed or --rerun, a frame failed."""
@@ -78,12 +80,19 @@ def _last_run(status: dict[str, Any], at_work: bool) -> str:
     if state == "running" and not at_work:
         state = "killed; run the same command again to go on"
     line = f"  last run: {state}; {pairs['done']} of {pairs['total']} pairs, "
-    line += f"{status['pairs_per_second']:.2f} a second"
+    line += _rate_text(status["pairs_per_second"])
     if frames["total"]:
         line += f"; frames: {frames['rendered']} rendered, {frames['from_cache']} from the cache"
     if at_work and status["seconds_left"] is not None:
         line += f"; {status['seconds_left']} s left"
     return line
+
+
+def _rate_text(pairs_per_s: float) -> str:
+    """Such as `2.50 pairs per second`; per hour where that would say 0.00."""
+    if pairs_per_s >= _LEAST_PER_SECOND:
+        return f"{pairs_per_s:.2f} pairs per second"
+    return f"{3600 * pairs_per_s:.1f} pairs per hour" if pairs_per_s else "none in its time"
 
 
 def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:

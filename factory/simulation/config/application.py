@@ -39,8 +39,8 @@ def run_app(
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
-    from .compose import config_line, hydra_words
-    from .hydra_loader import register_search_path
+    from .compose import config_line, hydra_words, sweep_points
+    from .hydra_loader import load, register_search_path
 
     register_search_path()
     # Without this Hydra prints its own multi-line text and exits with 1.
@@ -50,6 +50,7 @@ def run_app(
         # Hydra takes `dataset=DIR` for a choice of the group of that name, which `make` has.
         words = [re.sub("^dataset=", "dataset.dir=", word) for word in words]
     words = hydra_words(words, config_name, settings)
+    sweeping = bool({"-m", "--multirun"} & set(words))
     # Hydra reads the command line, and refuses a flag between overrides.
     sys.argv[1:] = sorted(words, key=lambda word: word not in ("-m", "--multirun"))
     codes: list[int] = []
@@ -66,6 +67,10 @@ def run_app(
 
     def everything() -> int:
         try:
+            if sweeping:
+                # A mistyped key would fail at every point, and leave a report of none.
+                overrides = [word for word in words if not word.startswith("-")]
+                load(config_name, sweep_points(overrides, {})[0])
             start(point)()
         except _Stopped:
             pass
