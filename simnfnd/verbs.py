@@ -223,7 +223,7 @@ VERBS: dict[str, Verb] = {
         "simnfnd.evaluation.commands:targets",
         ("simnfnd evaluate targets dive.avi", "simnfnd evaluate targets dive.avi frames=[7] "
          "models=[simnfnd,own.safetensors] contrasts=[1,2]"),
-        needs=("pandas", "skimage", *_SONAR), config="detect",
+        needs=("pandas", "skimage", *_SONAR), config="targets",
     ),
     "evaluate transfer": Verb(
         JUDGE, "measure what a detector that learned from a dataset finds in real images",
