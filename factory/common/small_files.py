@@ -9,7 +9,7 @@ import os
 import stat
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 from .errors import FactoryError
 
@@ -115,3 +115,32 @@ def numbers_in(path: Path, numbered_line: tuple[int, str], names: Iterable[str])
             f"{line[:60]!r}"
         )
     return numbers
+
+
+class NumberTable(NamedTuple):
+    """A CSV file of numbers below a header.
+
+    names: of its columns.  rows: a number for each name.  lines: the number of each row's line.
+    """
+
+    names: tuple[str, ...]
+    rows: list[list[float]]
+    lines: list[int]
+
+
+def number_table(path: Path) -> NumberTable:
+    """Read a CSV file of numbers; `time_s` must increase where it has such a column.
+
+    Raises FactoryError that names the file and the line.
+    """
+    (_, header), *lines = numbered_lines(path) or [(0, "")]
+    names = tuple(word.strip() for word in header.split(","))
+    table = NumberTable(
+        names, [numbers_in(path, line, names) for line in lines], [number for number, _ in lines]
+    )
+    if "time_s" in names:
+        times_s = [row[names.index("time_s")] for row in table.rows]
+        for number, before_s, time_s in zip(table.lines[1:], times_s, times_s[1:], strict=False):
+            if time_s <= before_s:
+                raise FactoryError(f"{path}:{number}: time_s does not increase")
+    return table

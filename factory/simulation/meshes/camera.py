@@ -18,7 +18,7 @@ from ...common.array_types import Bools, Float32s, Float64s, UInt8s, UInt16s
 from ...common.distribution import Distribution
 from ...common.errors import FactoryError
 from ...common.seeds import stream
-from ...common.small_files import numbered_lines, numbers_in
+from ...common.small_files import number_table
 from ..frames.frame import BOX_FIELDS
 from .triangle_mesh import Mesh, grid_triangles, join, vertex_normals
 
@@ -346,20 +346,13 @@ def movements(path: Path) -> tuple[dict[str, float], ...]:
 
     Raises FactoryError that names the file and the line.
     """
-    (_, header), *lines = numbered_lines(path) or [(0, "")]
-    names = [word.strip() for word in header.split(",")]
+    table = number_table(path)
     known = ("time_s", *MOVEMENT)
-    if not set(names) <= set(known) or not lines:
+    if not set(table.names) <= set(known) or not table.rows:
         raise FactoryError(
             f"{path}: expected a header of some of {', '.join(known)}, and a line for each frame"
         )
-    rows = [dict(zip(names, numbers_in(path, line, names), strict=True)) for line in lines]
-    if "time_s" not in names:
-        return tuple(rows)
-    for (number, _), before, row in zip(lines[1:], rows[:-1], rows[1:], strict=True):
-        if row["time_s"] <= before["time_s"]:
-            raise FactoryError(f"{path}:{number}: time_s does not increase")
-    return tuple(rows)
+    return tuple(dict(zip(table.names, row, strict=True)) for row in table.rows)
 
 
 def _about(axis: Float64s, angle_rad: float) -> Float64s:

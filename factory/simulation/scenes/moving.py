@@ -21,7 +21,7 @@ from ...common.array_types import Float64s
 from ...common.distribution import Distribution, number, parse
 from ...common.errors import FactoryError
 from ...common.settings import STRICT, ClassName
-from ...common.small_files import numbered_lines, numbers_in
+from ...common.small_files import number_table
 from ...dataset.meaning import ObjectName
 from .base import OwnClass, Root
 
@@ -199,17 +199,14 @@ def waypoints(path: Path, key: str) -> Waypoints:
 
     key: of the configuration, for errors.  Raises FactoryError that names file and line.
     """
-    lines = numbered_lines(path)
-    expected = ",".join(PATH_COLUMNS)
-    if not lines:
-        raise FactoryError(f"{key}={path}: the file is empty; expected {expected} and lines")
-    header = ",".join(word.strip() for word in lines[0][1].split(","))
-    if header != expected or len(lines) < 3:
-        raise FactoryError(f"{key}={path}: expected the header {expected} and two lines or more")
-    table = np.array([numbers_in(path, line, PATH_COLUMNS) for line in lines[1:]])
-    route = Waypoints(table[:, 0], table[:, 1:4], table[:, 4:])
-    line_numbers = [line for line, _ in lines[1:]]
-    _check_waypoints(route, path, line_numbers)
+    table = number_table(path)
+    if table.names != PATH_COLUMNS or len(table.rows) < 2:
+        raise FactoryError(
+            f"{key}={path}: expected the header {','.join(PATH_COLUMNS)} and two lines or more"
+        )
+    numbers = np.array(table.rows)
+    route = Waypoints(numbers[:, 0], numbers[:, 1:4], numbers[:, 4:])
+    _check_waypoints(route, path, table.lines)
     return route
 
 
@@ -222,9 +219,6 @@ def _check_waypoints(route: Waypoints, path: Path, line_numbers: list[int]) -> N
             f"{FARTHEST_M:g} m from the sonar's first place"
         )
     steps_s = np.diff(route.time_s)
-    if (steps_s <= 0).any():
-        index = int(np.argmax(steps_s <= 0)) + 1
-        raise FactoryError(f"{path}:{line_numbers[index]}: time_s does not increase")
     speeds_m_s = np.linalg.norm(np.diff(route.places_m, axis=0), axis=1) / steps_s
     if (speeds_m_s > FASTEST_M_S).any():
         index = int(np.argmax(speeds_m_s > FASTEST_M_S)) + 1

@@ -262,7 +262,7 @@ HEADER = "time_s,x_m,y_m,z_m,yaw_deg,pitch_deg,roll_deg\n"
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ("", "empty"),
+        ("", "header"),
         ("time,x,y\n0,1,2\n", "header"),
         (HEADER + "0,1,0,0,0,0,0\n1,1,99,0,0,0,0\n", "file.csv:3"),
         (HEADER + "0,1,0,0,0,0,0\n0,2,0,0,0,0,0\n", "file.csv:3"),
