@@ -8,7 +8,6 @@ procedural scenes: exact, and a tenth of the time of tracing as many rays.
 
 from __future__ import annotations
 
-import io
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass as plain_dataclass
@@ -42,6 +41,7 @@ from ..frames.frame import (
 from ..meshes.blend_files import camera_image
 from ..meshes.camera import Objects, Optics, Pose, Stance, ZBuffer, camera, centred, pose
 from ..meshes.mesh_parts import READING, MeshPart, Up, files_of, read_model, stands_like_a_wall
+from ..meshes.painted import read_image
 from .base import LONGEST_NAME, Discovery, OwnClass, Root
 from .moving import check_paths
 from .poses import PosesFrame, axes_remark, optical_trajectory, trajectory
@@ -307,14 +307,11 @@ class MeshReader:
         """What a camera sees of a .blend, in its own materials; of other files the shaded faces."""
         if self._path.suffix.lower() != ".blend":
             return shaded
-        from PIL import Image
-
         matrix = viewpoint.matrix
         matrix[:3, 3] = (matrix[:3, 3] + self._world.origin_m) / self._settings.scale
         arguments = matrix.tolist(), list(optics.lens), optics.width, optics.height
         content = READING.call(camera_image, self._path, *arguments, limit_s=600.0)
-        with Image.open(io.BytesIO(content)) as image:
-            return np.array(image.convert("RGB"))
+        return read_image(content)
 
     def _draw_path(self, path: int) -> PosesAlong:
         """Draw a path, and measure the ground under it; metres travelled give the pose."""
