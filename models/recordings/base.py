@@ -169,7 +169,11 @@ class Recording(ABC):
 
     def __iter__(self) -> Iterator[SonarFrame]:
         """All frames that are there, in order.  Raises FrameError at one that cannot be used."""
-        for number in range(self.count):
+        yield from self.frames_from(0)
+
+    def frames_from(self, first: int) -> Iterator[SonarFrame]:
+        """The frames from number `first` on."""
+        for number in range(first, self.count):
             try:
                 frame = self._read(number)
             except Ended:

@@ -190,7 +190,8 @@ def checked_frame(frame: Any, number: int, name: str) -> SonarFrame:
     problem = _problem_of(frame) if frame.number == number else f"says it is frame {frame.number}"
     if problem:
         raise FrameError(f"{name}: {problem}")
-    return frame
+    checked: SonarFrame = replace(frame, samples=samples)
+    problem = _problem_of(checked) if frame.number == number else f"says it is {frame.number}"
 
 
 def _problem_of(frame: SonarFrame) -> str:

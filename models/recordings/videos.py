@@ -246,12 +246,17 @@ class VideoFile(Recording):
 
     def __iter__(self) -> Iterator[SonarFrame]:
         """All frames that decode, in order; `warning` says afterwards whether some are missing."""
+        yield from self.frames_from(0)
+
+    def frames_from(self, first: int) -> Iterator[SonarFrame]:
+        """The frames from number `first` on; earlier ones are decoded, too."""
         reading = _Reading()
         timing: _Timing | None = None
         with self._opened() as (_, stream):
             for number, decoded in enumerate(self._decoded(stream, reading)):
                 timing = self._timing(number, decoded, timing)
-                yield self._frame(number, decoded, timing)
+                if number >= first:
+                    yield self._frame(number, decoded, timing)
         self.warning = self._warning(reading)
 
     def __getitem__(self, number: int) -> SonarFrame:
