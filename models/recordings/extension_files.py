@@ -186,12 +186,12 @@ def checked_frame(frame: Any, number: int, name: str) -> SonarFrame:
     if not isinstance(frame, SonarFrame) or not isinstance(frame.samples, np.ndarray):
         raise FrameError(f"{name}: is no Frame with an array of samples")
     samples = np.ascontiguousarray(frame.samples, frame.samples.dtype.newbyteorder("="))
-    frame = replace(frame, samples=samples)
-    problem = _problem_of(frame) if frame.number == number else f"says it is frame {frame.number}"
+    checked: SonarFrame = replace(frame, samples=samples)
+    problem = "" if frame.number == number else f"says that it is frame {frame.number}"
+    problem = problem or _problem_of(checked)
     if problem:
         raise FrameError(f"{name}: {problem}")
-    checked: SonarFrame = replace(frame, samples=samples)
-    problem = _problem_of(checked) if frame.number == number else f"says it is {frame.number}"
+    return checked
 
 
 def _problem_of(frame: SonarFrame) -> str:
