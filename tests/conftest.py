@@ -49,11 +49,8 @@ def compile_loops() -> None:
     )
 
     root = Path(__file__).resolve().parents[1]
-    of_models = (
-        "simnfnd.models.denoise.temporal.kernels",
-        "simnfnd.models.recordings.fans.kernels",
-    )
-    every = (*LOOPS, *of_models)
+    denoising_loops = "simnfnd.models.denoise.temporal.kernels"
+    every = (*LOOPS, denoising_loops)
     paths = [root / f"{name.removeprefix('simnfnd.').replace('.', '/')}.py" for name in every]
     if all(
         any(
@@ -65,7 +62,7 @@ def compile_loops() -> None:
         return
     processes = [
         subprocess.Popen([sys.executable, "-c", "\n".join(f"import {name}" for name in names)])
-        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (*FIELD_LOOPS, *of_models))
+        for names in ((*IMAGE_LOOPS, *SCENE_LOOPS), (*FIELD_LOOPS, denoising_loops))
     ]
     for process in processes:
         process.wait()
