@@ -128,24 +128,26 @@ def readme_table(figures: Mapping[str, Any]) -> str:
     targets = figures["detect"]
     groups = figures["groups"]
     best = groups["best"]
+    window = _window_of(real)
+    mean = f"mean of {window} + tuned TV"
     rows = [
         [
             "[Recording, static scene](docs/how-to/recordings.md#figures): PSNR / SSIM",
             _scores(static["simnfnd: fused and denoised"]),
-            f"{_scores(static['mean of 7 + tuned TV'])} (mean of 7 frames + TV), "
+            f"{_scores(static[mean])} (mean of {window} frames + TV), "
             f"{_scores(static['simnfnd: one frame'])} (single frames)",
             f"`{COMMANDS['real']}`",
         ],
         [
             "Recording, moving sonar: PSNR / SSIM",
             _scores(moving["simnfnd: fused and denoised"]),
-            f"{_scores(moving['registered mean of 7 + tuned TV'])} (registered mean + TV), "
-            f"{_scores(moving['mean of 7 + tuned TV'])} (not registered)",
+            f"{_scores(moving[f'registered {mean}'])} (registered mean + TV), "
+            f"{_scores(moving[mean])} (not registered)",
             "the same",
         ],
         [
             "[Contrast retained](docs/evaluation.md#moving-targets) for inserted targets",
-            _share(targets["simnfnd, 7 frames"]["contrast"]),
+            _share(targets[_fused_row(targets)]["contrast"]),
             f"{_share(targets['simnfnd, single frames']['contrast'])} (single frames), "
             f"{_share(targets[_GAUSSIAN]['contrast'])} (Gaussian of 1.5 px)",
             f"`{COMMANDS['detect']}`",
@@ -168,36 +170,54 @@ def readme_table(figures: Mapping[str, Any]) -> str:
 
 def targets_table(figures: Mapping[str, Any]) -> str:
     """What denoising leaves of targets inserted into the recording that ships."""
+    targets = figures["detect"]
+    fused = _fused_row(targets)
     labels = {
         "recorded": "as recorded",
-        "simnfnd, 7 frames": "`simnfnd denoise` (7 frames)",
+        fused: f"`simnfnd denoise` ({fused.partition(', ')[2]})",
         "simnfnd, single frames": "`--frames 1`",
         _GAUSSIAN: "Gaussian of 1.5 px",
     }
+    has_alarms = all("false_alarms" in targets[row] for row in labels)
     rows = []
     for row, label in labels.items():
-        scores = figures["detect"][row]
-        contrast = _share(scores["contrast"])
-        rows.append([label, contrast, f"{scores['auc']:.3f}", _share(scores["detection"])])
-    return _table(["", "contrast", "AUC", "detection"], rows, numbers_from=1)
+        scores = targets[row]
+        cells = [_share(scores["contrast"]), f"{scores['auc']:.3f}", _share(scores["detection"])]
+        if has_alarms:
+            cells.append(f"{scores['false_alarms']:.2f}")
+        rows.append([label, *cells])
+    head = ["", "contrast", "AUC", "detection", "false alarms per frame"]
+    return _table(head[: len(rows[0])], rows, numbers_from=1)
 
 
 def in_time_table(figures: Mapping[str, Any]) -> str:
     """PSNR and SSIM of the recording that ships, for a sonar at rest and a moving one."""
     real = figures["real"]
+    window = _window_of(real)
     labels = {
         "simnfnd: one frame": "`--frames 1`",
-        "fused": "7 frames, fused alone",
-        "simnfnd: fused and denoised": "`simnfnd denoise` (7 frames)",
-        "mean of 7": "mean of 7 frames",
-        "mean of 7 + tuned TV": "mean of 7 frames + tuned TV",
-        "registered mean of 7 + tuned TV": "registered mean of 7 frames + tuned TV",
+        "fused": f"{window} frames, fused alone",
+        "simnfnd: fused and denoised": f"`simnfnd denoise` ({window} frames)",
     }
+    for words in ("mean of {}{}", "mean of {}{} + tuned TV", "registered mean of {}{} + tuned TV"):
+        labels[words.format(window, "")] = words.format(window, " frames")
     rows = [
         [label, _scores(real["static"][row]), _scores(real["moving"][row])]
         for row, label in labels.items()
     ]
     return _table(["PSNR / SSIM", "sonar at rest", "moving sonar"], rows, numbers_from=1)
+
+
+def _window_of(real: Mapping[str, Any]) -> int:
+    """Number of frames that the means of a report on a recording are taken over."""
+    (mean,) = [label for label in real["static"] if re.fullmatch(r"mean of \d+", label)]
+    return int(mean.split()[-1])
+
+
+def _fused_row(targets: Mapping[str, Any]) -> str:
+    """Label of the network on several frames."""
+    (label,) = [label for label in targets if re.fullmatch(r"simnfnd, \d+ frames", label)]
+    return label
 
 
 def _table(heading: list[str], rows: list[list[str]], numbers_from: int | None = None) -> str:
@@ -295,11 +315,11 @@ def _kept(psnr_db: float, ssim: float) -> Figures:
 
 
 def _targets(report: Mapping[str, Any]) -> Figures:
-    """Row -> AUC, contrast and detection."""
+    """Row -> AUC, contrast, detection and false alarms."""
     return {
         row["label"]: {
             name: round(row[name]["value"], _KEPT_DIGITS)
-            for name in ("auc", "contrast", "detection")
+            for name in ("auc", "contrast", "detection", "false_alarms")
         }
         for row in report["rows"]
     }

@@ -23,6 +23,7 @@ from simnfnd.evaluation.real.groups import Group, judged, nearest, search, secto
 from simnfnd.factory.common.array_types import Array, Float32s, UInt8s
 from simnfnd.factory.common.workers.tasks import TaskPool
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
+from simnfnd.models.denoise.options import FRAMES
 from simnfnd.models.recordings.static import aligned, moving
 from tests.evaluation.evaluation_settings import BROKEN
 
@@ -286,21 +287,22 @@ def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.Monk
     method = Method("one", "", {}, weights="one")
     groups = [recording(tmp_path / f"{seed}.avi", seed, 28) for seed in (0, 1)]
     actual, notes = timed(groups, [method])
+    average = f"mean of {FRAMES}"
     rows = [
         "one: one frame",
         "one: fused and denoised",
         "fused",
-        "mean of 7",
-        "mean of 7 + tuned TV",
-        "registered mean of 7 + tuned TV",
+        average,
+        f"{average} + tuned TV",
+        f"registered {average} + tuned TV",
     ]
     assert list(actual["row"].unique()) == rows
     assert list(actual["kind"].unique()) == ["static", "moving", "ghost"]
     assert len(actual) == 2 * 3 * len(rows)
     psnr = actual.groupby(["kind", "row"])["psnr"].last()
-    assert psnr["static", "mean of 7 + tuned TV"] > psnr["static", "mean of 7"]
-    assert psnr["moving", "mean of 7"] < psnr["moving", "fused"]
-    assert psnr["moving", "registered mean of 7 + tuned TV"] > psnr["moving", "mean of 7"] + 2
+    assert psnr["static", f"{average} + tuned TV"] > psnr["static", average]
+    assert psnr["moving", average] < psnr["moving", "fused"]
+    assert psnr["moving", f"registered {average} + tuned TV"] > psnr["moving", average] + 2
     assert notes[1].startswith(
         "1.avi: TV of means is tuned on the first half of the frames (weight"
     )
