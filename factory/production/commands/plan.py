@@ -14,6 +14,8 @@ from ...simulation.config.compose import compose_points
 from ...simulation.config.needs import needs_of
 from ..cli.costs import Costs, Range, free_bytes, measured_costs, remembered_costs
 
+_LONG_S = 36_000
+
 
 def main(words: list[str]) -> int:
     """Print the plan; returns 0, or 1 when disk or memory does not suffice."""
@@ -82,7 +84,10 @@ def _seconds_text(seconds: Range) -> str:
 
 def _time_text(core_s: Range, cores: int) -> str:
     """Such as `0:20 to 0:35 on 2 cores (0.01 to 0.02 core hours)`."""
-    hours = [f"{seconds / 3600:.2g}" for seconds in core_s]
+    hours = [
+        f"{seconds / 3600:,.0f}" if seconds >= _LONG_S else f"{seconds / 3600:.2g}"
+        for seconds in core_s
+    ]
     return (
         f"{clock(core_s.least / cores)} to {clock(core_s.most / cores)} on {cores} core(s) "
         f"({hours[0]} to {hours[1]} core hours)"
