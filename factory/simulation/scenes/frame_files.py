@@ -204,7 +204,9 @@ def _undecodable(error: Exception) -> str:
     """What keeps a file from being decoded: its format, or damage."""
     from PIL import UnidentifiedImageError
 
-    if isinstance(error, UnidentifiedImageError) or "Object arrays" in str(error):
+    # Pillow knows some formats, such as HDF5, by their names alone.
+    is_foreign = "Object arrays" in str(error) or "cannot find loader" in str(error)
+    if isinstance(error, UnidentifiedImageError) or is_foreign:
         return f"is of no format that is read, or damaged; {_READABLE_DEPTH}"
     reason = one_line(error) or type(error).__name__
     return f"truncated or damaged file ({reason}); copy or download the file again"

@@ -395,6 +395,7 @@ def test_npy_of_one_channel_is_read(tmp_path: Path) -> None:
     [
         ("d.exr", b"\x76\x2f\x31\x01\x02\0\0\0" + bytes(90)),
         ("d.npz", b"PK\x03\x04" + bytes(90)),
+        ("d.h5", b"\x89HDF\r\n\x1a\n" + bytes(90)),
         ("d.bin", b"24&16&1&" + bytes(90)),
     ],
 )
