@@ -64,6 +64,10 @@ class FusedFrame:
     static_share: (H, W) in 0..1; 0 where something moves.
     pixel_noise: (256,) noise of a pixel of a single frame, by level.
     difference_noise: (256,) noise of a difference of two frames in the small window, by level.
+    deviation, wide_deviation: (h, w) reduced, the frame less the scene in the small and the wide
+    window, in standard deviations of that difference by noise alone.
+    evidence: (h, w) reduced, of the best path through a pixel, in standard deviations above the
+    usual; see `tracking`.
     """
 
     image: Array
@@ -71,6 +75,9 @@ class FusedFrame:
     static_share: Array
     pixel_noise: Array
     difference_noise: Array
+    deviation: Array
+    wide_deviation: Array
+    evidence: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +97,13 @@ class _Reduced:
 class _Targets:
     """Moving targets; all planes are reduced, (h, w).
 
+    evidence: significance of the path through a pixel, standard deviations above the usual.
     gate: 0..1, how far the path through a pixel counts.
     faint: frame offset -> 1 where the frame deviates by less than `_OBVIOUS`, else 0.
     """
 
     tracks: Tracks
+    evidence: Array
     gate: Array
     faint: dict[int, Array]
 
@@ -106,7 +115,9 @@ def fuse(frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
     grey = grey_of(frame)
     if not neighbours:
         ones = np.ones(grey.shape, np.float32)
-        return FusedFrame(frame, ones, ones, np.zeros(256, np.float32), np.zeros(256, np.float32))
+        unknown = np.zeros(256, np.float32)
+        nowhere = np.zeros_like(reduced(grey))
+        return FusedFrame(frame, ones, ones, unknown, unknown, nowhere, nowhere, nowhere)
     small, visible = _reduce(grey, neighbours)
     measured = some_of(len(neighbours))
     scene_greys = [small.median * visible[index] for index in measured]
@@ -128,13 +139,23 @@ def fuse(frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
         )
     ]
     image, frame_count = _weighted_mean(frame, np.ones_like(grey), neighbours, weights)
-    static_share = _enlarge(static, grey.shape)
-    fused = FusedFrame(image, frame_count, static_share, pixel_noise, with_frame.noise)
+    static_share = enlarge(static, grey.shape)
+    fused = FusedFrame(
+        image=image,
+        frame_count=frame_count,
+        static_share=static_share,
+        pixel_noise=pixel_noise,
+        difference_noise=with_frame.noise,
+        deviation=with_median.deviation,
+        wide_deviation=with_median.wide_deviation,
+        evidence=np.zeros_like(small.frame),
+    )
 
     trackable = [neighbour for neighbour in neighbours if abs(neighbour.offset) <= MAX_OFFSET]
     if len(trackable) + 1 < _MIN_TRACKED_FRAMES:
         return fused
     targets = _find_targets(small, neighbours, with_median.sigma)
+    fused = replace(fused, evidence=targets.evidence)
     if not targets.gate.any():
         return fused
     return _with_targets(fused, frame, neighbours, agrees_with_median, targets)
@@ -209,7 +230,7 @@ def _find_targets(small: _Reduced, neighbours: Sequence[Neighbour], sigma: Array
     significance = np.clip((score - _GATE_START) / (_GATE_END - _GATE_START), 0, 1)
     significant = cv2.dilate(significance.astype(np.float32), np.ones((3, 3), np.uint8))
     gate = significant * _explained(deviations[0], tracks.mean)
-    return _Targets(tracks, cv2.blur(gate, (3, 3)), faint)
+    return _Targets(tracks, score, cv2.blur(gate, (3, 3)), faint)
 
 
 class _Agreement:
@@ -217,6 +238,7 @@ class _Agreement:
 
     planes: 1 up to the limit in both windows, then falling to 0; (h, w) for each frame.
     noise: of a difference in the small window, by grey level.  sigma: (h, w) the same.
+    deviation, wide_deviation: (h, w) of the last plane, in standard deviations by noise.
     """
 
     def __init__(
@@ -245,6 +267,8 @@ class _Agreement:
             for (deviation, _), wide_mean in zip(both, wide, strict=True)
         ]
         self.planes = [cv2.exp(exponent) for exponent in exponents]
+        self.deviation: Array = both[-1][0]
+        self.wide_deviation: Array = wide[-1] / wide_sigma
 
 
 def median(planes: Sequence[Array]) -> Array:
@@ -289,7 +313,7 @@ def _weighted_mean(
     count = frame_weight.copy()
     squares = frame_weight * frame_weight
     for neighbour, weight in zip(neighbours, weights, strict=True):
-        part = _enlarge(weight, frame.shape)
+        part = enlarge(weight, frame.shape)
         kernels.add_weighted(total, count, squares, neighbour.levels, part, neighbour.visible)
     mean, frame_count = kernels.mean_and_count(total, count, squares)
     return mean, frame_count
@@ -309,7 +333,7 @@ def _with_targets(
     weights = [_smooth(agreement) for agreement in agrees_with_median]
     scene, scene_count = _weighted_mean(frame, fused.static_share, neighbours, weights)
     # Where too few frames show the scene there is none to add a target to.
-    gate = _enlarge(targets.gate, frame.shape) * (scene_count > 1)
+    gate = enlarge(targets.gate, frame.shape) * (scene_count > 1)
     target = _mean_target(frame, scene, gate, neighbours, targets)
     image = fused.image + _like(gate, fused.image) * (scene + target - fused.image)
     static_share = fused.static_share * (1 - gate)
@@ -379,7 +403,7 @@ def _channel(levels: Array, index: int) -> Array:
     return np.ascontiguousarray(levels[..., index])
 
 
-def _enlarge(plane: Array, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR) -> Array:
+def enlarge(plane: Array, shape: tuple[int, ...], interpolation: int = cv2.INTER_LINEAR) -> Array:
     """A reduced plane, (h, w) or (h, w, C), at the size of the frames, (H, W)."""
     height, width = shape[:2]
     down, right = factors(shape[:2])

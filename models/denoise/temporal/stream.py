@@ -97,11 +97,15 @@ class FrameFacts(NamedTuple):
 
 
 class StreamResult(NamedTuple):
-    """A denoised frame: the key of its `SequenceFrame`, its levels, and what was done to it."""
+    """A denoised frame: the key of its `SequenceFrame`, its levels, and what was done to it.
+
+    fused: the frame before the network; None for a frame that is denoised alone.
+    """
 
     key: Any
     levels: Array
     facts: FrameFacts
+    fused: FusedFrame | None
 
 
 @lru_cache(maxsize=8)
@@ -249,7 +253,9 @@ class InTime:
             levels = denoised.result()
             # Planes that only its result needs.
             self._restored.pop(number, None)
-            yield StreamResult(self._frames[number].key, levels, self._facts.pop(number))
+            original = self._grouping.original(number) if self._window > 1 else number
+            fused = self._fused.get(original)
+            yield StreamResult(self._frames[number].key, levels, self._facts.pop(number), fused)
 
     def _forget(self) -> None:
         """Drop the frames that no result needs any more."""

@@ -17,6 +17,7 @@ from simnfnd.factory.common.errors import FactoryError
 from simnfnd.factory.dataset.fan_geometry import FanGeometry
 from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.reports import InTime as Tally
+from simnfnd.models.denoise.temporal.background import backgrounds
 from simnfnd.models.denoise.temporal.fusion import Neighbour, fuse, shows_same
 from simnfnd.models.denoise.temporal.motion import Aligner, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, SequenceFrame
@@ -188,6 +189,27 @@ def test_calibration_leaves_out_moving_objects() -> None:
     same = shows_same(fused, noisy(ground, 99), visible)
     assert not same[box].any()
     assert same[20:60, 20:60].mean() > 0.8
+
+
+def test_the_background_is_the_scene_and_objects_deviate_from_it() -> None:
+    """Also where the sonar moves, and live."""
+    wide = scene()
+    for causal in (False, True):
+        frames = []
+        truth = []
+        for number in range(10):
+            truth.append(view(wide, 2 * number, number))
+            frame = noisy(truth[-1], number)
+            frame[60 + 8 * number : 70 + 8 * number, 100:110] += 5 * NOISE
+            frames.append(frame.clip(0, 1))
+        background = list(backgrounds(frames, window=7, causal=causal))[6]
+        thing = np.s_[110:116, 102:108]
+        assert background.deviation[thing].min() > 4
+        away = np.s_[20:90, 20:200]
+        assert background.frame_count[away].mean() > 4
+        assert np.abs(background.deviation[away]).mean() < 1.2
+        assert error(background.scene[away], truth[6][away], 5) < 0.6 * NOISE
+        assert background.noise[away].mean() == pytest.approx(NOISE, rel=0.3)
 
 
 def test_moving_objects_leave_no_trail_and_do_not_fade() -> None:
