@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -136,7 +137,7 @@ def write_files(out: Path, files: Mapping[str, str | bytes]) -> None:
     with explain_os_errors(out, "out"):
         out.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
-        data = content.encode() if isinstance(content, str) else content
+        data = os.fsencode(content) if isinstance(content, str) else content
         write_atomically(out / name, data, key="out")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import zlib
 from collections.abc import Sequence
@@ -70,7 +71,7 @@ class BlockStore(NamedTuple):
     @classmethod
     def of(cls, out: Path, name: str, key: str) -> BlockStore:
         """The blocks of a result.  out: the output folder.  name: of the result below it."""
-        return cls(out / FOLDER / hashlib.sha256(name.encode()).hexdigest()[:16], key)
+        return cls(out / FOLDER / hashlib.sha256(os.fsencode(name)).hexdigest()[:16], key)
 
     def write(self, first: int, frames: Sequence[BlockFrame]) -> None:
         """Keep a block.  first: number of its first frame.  Raises FactoryError."""

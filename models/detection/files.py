@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -111,7 +112,7 @@ def write_results(out: Path, rows: Sequence[FrameRow], classes: Sequence[str]) -
     bare = [{name: entry[name] for name in names} for entry in annotations]
     write_atomically(out / "detections.json", json.dumps(document).encode(), key="--out")
     write_atomically(out / "results.json", json.dumps(bare).encode(), key="--out")
-    write_atomically(out / "detections.csv", _table(rows).encode(), key="--out")
+    write_atomically(out / "detections.csv", os.fsencode(_table(rows)), key="--out")
 
 
 def _box_entries(found: DetectedObject) -> dict[str, Any]:
