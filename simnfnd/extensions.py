@@ -1,7 +1,8 @@
-"""All that an extension is written with: noise effects, readers, methods and metrics.
+"""All that an extension is written with: noise effects, readers, methods, metrics and networks.
 
 An extension is one object: an `Effect`, a `ReaderEntry` (of RGBD scenes), a `RecordingEntry` (of a
-sonar's recordings), a `Baseline` or an `OwnMetric`.  A package names it as an entry point, a script
+sonar's recordings), a `Baseline`, an `OwnMetric` or a class of
+`simnfnd.models.networks.network.Network`.  A package names it as an entry point, a script
 registers it (docs/how-to/extending.md).
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 from .evaluation.filters import Baseline, register_method
 from .evaluation.metrics.measure import PairImages
 from .evaluation.metrics.own import OwnMetric, register_metric
+from .factory.common import extensions as _known
 from .factory.common.distribution import AnyNumber, Fraction, NonNegative, Positive
 from .factory.common.errors import FactoryError, FrameError
 from .factory.common.settings import STRICT
@@ -72,6 +74,16 @@ __all__ = [
     "register_effect",
     "register_method",
     "register_metric",
+    "register_network",
     "register_reader",
     "register_recording",
 ]
+
+
+def register_network(kind: str, network: type) -> None:
+    """Make a network known to `simnfnd train model=KIND` in this process.
+
+    network: a class of `simnfnd.models.networks.network.Network`, whose attribute `settings` is its
+    settings class, all keys with defaults.  Raises ValueError for a bad name.
+    """
+    _known.register("network", kind, network)

@@ -22,13 +22,14 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
-Kind = Literal["effect", "reader", "recording", "method", "metric", "preset"]
+Kind = Literal["effect", "reader", "recording", "method", "metric", "network", "preset"]
 GROUPS: dict[Kind, str] = {
     "effect": "simnfnd.effects",
     "reader": "simnfnd.readers",
     "recording": "simnfnd.recordings",
     "method": "simnfnd.methods",
     "metric": "simnfnd.metrics",
+    "network": "simnfnd.networks",
     "preset": "simnfnd.presets",
 }
 """Kind of extension -> group of entry points; readers are of RGBD scenes, recordings of sonars."""

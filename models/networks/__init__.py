@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.common import extensions
 from ...factory.common.array_types import Float32s
 from ...factory.common.errors import FactoryError
 from ...factory.simulation.imaging.artefacts import ARTEFACTS
@@ -62,6 +63,10 @@ def build_network(config: Mapping[str, Any]) -> Network:
 
     kind = config.get("kind")
     known = {**NETWORKS, **RIVALS}
+    if isinstance(kind, str) and kind in extensions.names("network"):
+        values = {key: value for key, value in config.items() if key != "kind"}
+        own = own_network(kind)
+        return own(build(own.settings, values, "model"))
     if not isinstance(kind, str) or kind not in known:
         raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(known)}")
     config = {key: value for key, value in config.items() if (key, value) not in _GONE.items()}
@@ -71,6 +76,31 @@ def build_network(config: Mapping[str, Any]) -> Network:
     settings: Any = build(getattr(module, f"{name}Settings"), config, "model")
     network: Network = getattr(module, name)(settings)
     return network
+
+
+def own_network(kind: str) -> Any:
+    """The network of another package or of the user's code: a `Network` with its `settings`.
+
+    Raises FactoryError where it cannot be loaded, or lacks them.
+    """
+    from .network import Network
+
+    extension = extensions.find("network", kind)
+    network = None if extension is None else extension.value
+    is_network = isinstance(network, type) and issubclass(network, Network)
+    if not is_network or not hasattr(network, "settings"):
+        raise FactoryError(
+            f"network {kind}: is no class of `Network` with its settings class as `settings`"
+        )
+    return network
+
+
+def default_values(kind: str) -> dict[str, Any]:
+    """Keys of `model` of an own network, with their defaults."""
+    from pydantic import TypeAdapter
+
+    settings = own_network(kind).settings
+    return {"kind": kind, **TypeAdapter(settings).dump_python(settings(), mode="json")}
 
 
 def vector(removed: Collection[str]) -> Float32s:

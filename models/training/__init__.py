@@ -6,19 +6,25 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from ...factory.common import extensions
 from ...factory.common.settings import build
 from ...factory.simulation.config.application import run_app
 from .. import WEIGHTS_NAME
+from ..networks import default_values
 
 
 def main(words: Sequence[str]) -> int:
     """Train as the configuration says; returns the exit code."""
     from ..settings import ModelsSettings
 
+    for kind in extensions.names("network"):
+        # Makes `model=KIND` a choice of Hydra.
+        ConfigStore.instance().store(name=kind, group="model", node=default_values(kind))
     return run_app(run, "models", words, ModelsSettings)
 
 
