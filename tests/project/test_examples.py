@@ -213,6 +213,74 @@ def test_a_node_of_ros_denoises_what_comes(tmp_path: Path, monkeypatch: pytest.M
             np.testing.assert_array_equal(actual, expected)
 
 
+def test_a_node_of_ros_publishes_pings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two pings of a small sonar.  ROS is a stand-in, whose messages take what they are given."""
+    sent: dict[str, list[Any]] = {}
+
+    class Publisher:
+        def __init__(self, topic: str) -> None:
+            self.topic = topic
+
+        def publish(self, message: Any) -> None:
+            sent.setdefault(self.topic, []).append(message)
+
+    class Ros(Message):
+        is_on = True
+
+        def create_node(self, name: str) -> Any:
+            return self
+
+        def get_clock(self) -> Any:
+            return Message(now=lambda: Message(nanoseconds=5_500_000_000))
+
+        def create_publisher(self, kind: type, topic: str, qos: Any) -> Publisher:
+            return Publisher(topic)
+
+        def create_timer(self, period_s: float, callback: Callable[[], None]) -> None:
+            assert period_s == 0.2
+            self.callback = callback
+
+        def init(self) -> None:
+            pass
+
+        def spin(self, node: Any) -> None:
+            while self.is_on:
+                self.callback()
+
+        def destroy_node(self) -> None:
+            pass
+
+        def try_shutdown(self) -> None:
+            self.is_on = False
+
+    class AnyMessage(Message):
+        def __getattr__(self, name: str) -> Any:
+            return Message
+
+    qos = Message(QoSProfile=Message, DurabilityPolicy=Message(TRANSIENT_LOCAL="latched"))
+    for name in ("builtin_interfaces", "std_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs",
+                 "marine_acoustic_msgs"):  # fmt: skip
+        monkeypatch.setitem(sys.modules, name, AnyMessage())
+        monkeypatch.setitem(sys.modules, f"{name}.msg", AnyMessage())
+    monkeypatch.setitem(sys.modules, "rclpy", Ros())
+    monkeypatch.setitem(sys.modules, "rclpy.qos", qos)
+    words = ["scenes.width=96", "scenes.height=64", "sonar.range_bins=64", "sonar.beams=48"]
+    monkeypatch.setattr(sys, "argv", ["node", "line", "--count", "2", *words])
+    runpy.run_path(str(EXAMPLES / "ros2_sonar.py"), run_name="__main__")
+    assert len(sent["/sonar/noisy"]) == len(sent["/sonar/points"]) == 2
+    ping = sent["/sonar/noisy"][1]
+    assert (ping.header.stamp.sec, ping.header.stamp.nanosec) == (5, 500_000_000)
+    assert isinstance(ping.image.data, array)
+    assert len(ping.image.data) == 64 * 48
+    assert isinstance(ping.ranges, array)
+
+
+def test_a_vehicle_keeps_its_altitude(tmp_path: Path, printed: Callable[..., str]) -> None:
+    off_m = float(printed("keep_altitude.py", "12", str(tmp_path)).split()[4])
+    assert off_m < 1
+    assert len((tmp_path / "altitude.csv").read_text().splitlines()) == 13
+
+
 @pytest.mark.slow
 def test_the_papers_figures(tmp_path: Path, printed: Callable[..., str]) -> None:
     small = ("render=analytic", "scenes.width=242", "scenes.height=152", "scenes.locations=1")

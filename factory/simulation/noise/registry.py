@@ -31,6 +31,7 @@ from ...common.settings import STRICT, build
 from ..imaging.effect import Effect, EffectSettings
 from . import points
 from .crosstalk import CROSSTALK, CrosstalkSettings
+from .declaration import check_effect
 from .drift import DRIFTING_VOLUME, DriftingVolumeSettings
 from .gains import (
     BEAM_GAIN,
@@ -146,10 +147,10 @@ BUILT_IN = tuple(EFFECTS)
 
 
 def register_effect(effect: Effect) -> None:
-    """Make an effect known in this process, as `noise.<effect.name>`; it is run once.
+    """Make an effect known in this process, as `noise.<effect.name>`.
 
-    Raises ValueError for a name that is taken or no name, and for an effect that declares or does
-    something wrong (see `trial`).
+    Raises ValueError for a name that is taken or no name, and for an effect that declares
+    something wrong (see `declaration`).
     """
     if not isinstance(effect, Effect):
         raise ValueError(f"effect: is a {type(effect).__name__}; give an Effect")
@@ -170,8 +171,6 @@ def _adopt(effect: Effect) -> None:
 @lru_cache(maxsize=64)
 def _problem_of(effect: Effect) -> str:
     """What is wrong with an effect; "" for a sound one."""
-    from .trial import check_effect  # loads numba
-
     try:
         check_effect(effect)
     except ValueError as error:
