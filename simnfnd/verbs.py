@@ -158,6 +158,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd detect dive.aris --out outputs/found",
             "simnfnd detect image.png --out outputs/found --overlay",
             "simnfnd detect mdd/Images --out outputs/found --threshold 0.3 --classes Tire,Bottle",
+            "simnfnd detect dive.aris --count --out outputs/counted --overlay",
         ),
         needs=_NETWORK, resumes=True,
     ),
@@ -232,6 +233,12 @@ VERBS: dict[str, Verb] = {
          "simnfnd evaluate transfer outputs/objects tank --quick",
          "simnfnd evaluate transfer tank detector=simnfnd \"class_names={Tyre: Tire}\""),
         needs=("pandas", "pycocotools", *_TORCH), config="transfer",
+    ),
+    "evaluate counts": Verb(
+        JUDGE, "measure counts, tracks and lengths of moving objects in simulated recordings",
+        "simnfnd.evaluation.counts.command:main",
+        ("simnfnd evaluate counts outputs/fish-didson_hf",),
+        needs=("matplotlib", *_SONAR),
     ),
     "evaluate realism": Verb(
         JUDGE, "measure how close datasets come to real images",

@@ -19,10 +19,14 @@ from ...factory.common.workers.machine import keep_freed_memory
 from ..denoise.journal import Journal, opened_journal
 from ..recordings.inputs import FIND, Geometries, InputFile, find_items, sequences
 from . import SHIPPED_NAME, find_detector
+from .counting import CLASS, counts_of, rows_of
 from .files import FrameRow, open_overlay, read_rows, write_results, write_rows
 from .frames import frames_of
-from .objects import THRESHOLD, find_objects
+from .moving import Deviation, deviations_of
+from .objects import THRESHOLD, DetectedObject, find_objects
 from .runtime import DetectorRuntime
+from .track_files import Echogram, draw_tracks, object_of, write_image, write_mot, write_tracks
+from .tracker import Track, track_echoes
 
 _KEPT = ".detected"
 """Folder below the results: what was found in each input, so that no run does it again."""
@@ -48,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
         job.run(items)
         journal.finish()
         rows = [row for item in items if item in journal for row in read_rows(job.kept(item))]
-        write_results(out, rows, detector.facts.classes)
+        write_results(out, rows, (CLASS,) if options.count else detector.facts.classes)
     for line in job.summary(rows):
         print(line)
     return 1 if job.failures else 0
@@ -81,7 +85,10 @@ class _Job:
             bar.uncounted = len(left) - images
             for item in left:
                 try:
-                    self._detect_in(item, bar)
+                    if self.options.count:
+                        self._count_in(item, bar)
+                    else:
+                        self._detect_in(item, bar)
                 except FactoryError as error:
                     self.failures.append(_named(item, error))
         if self.failures and len(self.failures) == len(items):
@@ -112,8 +119,45 @@ class _Job:
                         overlay.add(frame, list(zip(objects, texts, strict=True)))
                     bar.total += not is_image
                     bar.update()
+        self._keep(item, rows)
+
+    def _keep(self, item: InputFile, rows: Sequence[FrameRow]) -> None:
         write_rows(self.kept(item), rows)
         self.journal.add(item, {}, self.kept(item))
+
+    def _count_in(self, item: InputFile, bar: Bar) -> None:
+        """Track what moves in a recording, and write its files."""
+        if item.kind in ("images", "shard"):
+            raise FactoryError(
+                "--count: needs a recording, a video or a stack (of a dataset DATASET/PLACE/SCENE)"
+            )
+        bar.uncounted -= 1
+        echogram = Echogram()
+
+        def counted() -> Iterator[Deviation]:
+            for deviation in deviations_of(frames_of(item, self.geometries, self.options.topic)):
+                bar.total += 1
+                bar.update()
+                echogram.add(deviation)
+                yield deviation
+
+        tracks = track_echoes(counted())
+        place = self.out / item.relative
+        write_mot(place / "mot.txt", tracks)
+        write_image(place / "echogram.png", echogram.image(tracks))
+        rows = rows_of(str(item.relative), tracks)
+        write_tracks(place / "tracks.csv", rows)
+        counts = counts_of(rows)
+        print(
+            f"{item.source}: {len(tracks)} moving object(s): {counts['left']} to the left, "
+            f"{counts['right']} to the right, {counts['towards']} towards, {counts['away']} away"
+        )
+        if self.options.overlay:
+            path = self.out / "overlay" / item.relative
+            frames = frames_of(item, self.geometries, self.options.topic)
+            with open_overlay(path, is_image=False) as overlay:
+                draw_tracks(overlay, frames, tracks)
+        self._keep(item, _rows_of_tracks(str(item.relative), tracks, echogram.frames))
 
     def summary(self, rows: Sequence[FrameRow]) -> Iterator[str]:
         """What a run found, line by line."""
@@ -125,9 +169,20 @@ class _Job:
         by_class = ", ".join(f"{counts[name]} {name}" for name in sorted(counts))
         total = sum(counts.values())
         yield f"found: {total} object(s) in {len(rows)} image(s){': ' * bool(counts)}{by_class}"
-        if self.detector.facts.calibration is None:
-            yield "scores: not calibrated; they are no probabilities"
+        if self.detector.facts.calibration is None or self.options.count:
+            yield "scores: they are no probabilities"
         yield f"table: {self.out / 'detections.csv'}; COCO: {self.out / 'detections.json'}"
+
+
+def _rows_of_tracks(
+    file: str, tracks: Sequence[Track], frames: Sequence[tuple[int, float | None, int, int]]
+) -> list[FrameRow]:
+    """Rows of all frames with the echoes of the tracks."""
+    objects: dict[int, list[DetectedObject]] = {}
+    for track in tracks:
+        for point in track.points:
+            objects.setdefault(point.frame.number, []).append(object_of(point))
+    return [FrameRow(file, False, *frame, objects.get(frame[0], [])) for frame in frames]
 
 
 def _named(item: InputFile, error: Exception) -> str:
@@ -137,7 +192,7 @@ def _named(item: InputFile, error: Exception) -> str:
 
 def _command(options: argparse.Namespace, detector: Path) -> dict[str, object]:
     """All that decides on the results but for the inputs."""
-    names = ("threshold", "classes", "topic", "opening", "overlay")
+    names = ("threshold", "classes", "topic", "opening", "overlay", "count")
     chosen: dict[str, object] = {name: getattr(options, name) for name in names}
     table = Path(options.geometry).expanduser()
     chosen["geometry"] = sha256_of(table) if table.is_file() else options.geometry
@@ -168,6 +223,10 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     threshold_help = f"least probability of an object, 0 to 1 (default: {THRESHOLD:g})"
     add("--threshold", type=float, default=THRESHOLD, metavar="PART", help=threshold_help)
     add("--classes", default="", metavar="A,B", help="find these classes alone")
+    count_help = (
+        "count what moves in recordings instead: tracks.csv, mot.txt and echogram.png of each"
+    )
+    add("--count", action="store_true", help=count_help)
     add("--overlay", action="store_true", help="also draw the boxes: images and videos in overlay/")
     geometry_help = (
         "geometry of images and videos: `find` it in the image (default), `polar`, `none`, or a "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,19 @@ class ShownFrame:
     image: UInt8s
     geometry: FanGeometry | None = None
     time_s: float | None = None
+
+    @property
+    def facts(self) -> FrameFacts:
+        """The frame without its image."""
+        return FrameFacts(self.number, self.time_s, self.geometry)
+
+
+class FrameFacts(NamedTuple):
+    """What is kept of a frame without its image."""
+
+    number: int
+    time_s: float | None
+    geometry: FanGeometry | None
 
 
 def shown_frame(
