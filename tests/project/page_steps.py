@@ -52,7 +52,6 @@ _SMALL = {
     ),
     "experiment=noise_sweep": (*SMALL_SEABED, *_ALONE, "render=embree", "resample.rate=0.3"),
     "render=": (*SMALL_SEABED, *_ALONE),
-    "examples/count_fish.py": ("2", "30"),
     "simnfnd make": (*SMALL_SEABED, *_ALONE, "render=embree"),
     "simnfnd train": ("train.steps=4", "train.check_every=2", "data.patch=64", "data.batch=2"),
     "evaluate tune": (*_FEW, "tuning.pairs=2"),
