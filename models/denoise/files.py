@@ -10,7 +10,7 @@ import numpy as np
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
 from ...factory.common.files import write_atomically
-from ..recordings import Recording
+from ..recordings import Recording, SonarFrame
 from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX
 from ..recordings.inputs import InputFile
@@ -18,6 +18,7 @@ from ..recordings.portable_maps import white_of_file
 from .blocks import BlockStore
 from .images import levels_of, without_alpha
 from .job import DenoisingJob
+from .records import FrameRecord
 from .removed import Removed
 from .reports import FileReport, Kinds, frame_row
 from .results import ResultFrame, view_of, write_result
@@ -167,6 +168,7 @@ class _RecordingRun:
         self._report = FileReport(str(self._item.relative))
         self._kinds = Kinds()
         self._shown: list[Compared] = []
+        self._largest_deviation = 0.0
 
     def write(self, path: Path) -> None:
         """Denoise all frames into the result at `path`, and report it."""
@@ -200,6 +202,18 @@ class _RecordingRun:
         name = job.denoise.name
         job.done(self._item, self._report, name, of_points=False, result=result.path)
 
+    def _show(self, frame: SonarFrame, image: Array, record: FrameRecord) -> None:
+        """Keep the first frames for the sheet, and the one of the most suspicious spot."""
+        deviation = abs(record.structure.deviation) if record.structure else 0.0
+        is_first = len(self._shown) < COMPARED - 1
+        if not is_first and deviation <= self._largest_deviation:
+            return
+        self._largest_deviation = max(self._largest_deviation, deviation)
+        removed = _removed(frame.samples, image, self._job).shown()
+        panels = (view_of(frame, panel) for panel in (frame.samples, image, removed))
+        shown = Compared(*panels, label=f"frame {frame.number}")
+        self._shown = [*self._shown[: COMPARED - 1], shown]
+
     def _reported(self, finished: Iterator[FinishedFrame]) -> Iterator[ResultFrame]:
         """The frames on their way to the result."""
         job = self._job
@@ -210,10 +224,8 @@ class _RecordingRun:
                 self._kinds.add(frame.number, previous, self._source.settings(frame))
             row = frame_row(self._report.name, frame.number, frame.time_s, record.facts)
             job.frame_rows.append(row)
-            if job.compare and frame.number < COMPARED:
-                removed = _removed(frame.samples, image, job).shown()
-                panels = frame.samples, image, removed
-                self._shown.append(Compared(*(view_of(frame, panel) for panel in panels)))
+            if job.compare:
+                self._show(frame, image, record)
             if job.video is not None:
                 noisy = view_of(frame, frame.samples)
                 job.video.add(noisy, view_of(frame, image), frame.time_s)

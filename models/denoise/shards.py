@@ -222,7 +222,7 @@ def _keep(denoised: Denoised, job: DenoisingJob) -> None:
         job.video.add(noisy / full, denoised.image / full)
     if job.compare and row < COMPARED:
         panels = noisy / full, denoised.image / full, denoised.removed.shown()
-        shard.shown.append(Compared(*panels, clean=clean / full))
+        shard.shown.append(Compared(*panels, clean=clean / full, label=f"pair {row}"))
     job.bar.update()
 
 

@@ -39,12 +39,14 @@ class Compared(NamedTuple):
     """Panels of one image, (H, W) or (H, W, C) of one size; uint8, uint16 or float in 0..1.
 
     removed: see `Removed.shown`.  clean: None where it is unknown.
+    label: which of several images it is, such as `frame 12`.
     """
 
     noisy: Array
     denoised: Array
     removed: Array
     clean: Array | None = None
+    label: str = ""
 
     def panels(self) -> dict[str, Array]:
         """The panels by their captions, from left to right."""
@@ -121,9 +123,11 @@ def write_image(path: Path, image: Array, *, largest: int | None = None) -> None
 
 
 def write_compared(path: Path, rows: Sequence[Compared]) -> None:
-    """A sheet of panels side by side, one row an image, with captions on top."""
-    first, *others = (row.panels() for row in rows)
-    lines = [side_by_side(first), *(_joined(panels) for panels in others)]
+    """A sheet of panels side by side, one row an image, with captions on top and labels."""
+    first, *others = rows
+    lines = [side_by_side(first.panels()), *(_joined(row.panels()) for row in others)]
+    for row, line in zip(rows, lines, strict=True):
+        _write_caption(line[-CAPTION_PX:], row.label, 0, row.noisy.shape[1])
     write_image(path, np.vstack(lines))
 
 
@@ -146,6 +150,8 @@ def _joined(panels: Mapping[str, Array]) -> Array:
 
 def _write_caption(header: Array, caption: str, left: int, width: int) -> None:
     """Draw a caption into the header, no wider than its panel."""
+    if not caption:
+        return
     font = cv2.FONT_HERSHEY_SIMPLEX
     (full_width, _), _ = cv2.getTextSize(caption, font, 1.0, 1)
     scale = max(0.01, min(0.45, (width - 6) / full_width))
