@@ -37,8 +37,8 @@ _FRAME_COLUMNS = (
 _POSE_COLUMNS = tuple(field.name for field in fields(SonarPose))
 _DEVICE_COLUMNS = {f"device_{field.name}": field.name for field in fields(RecordingDevice)}
 _HELP = """\
-RECORDING (ARIS, DDF, Oculus, a bag, a video, a stack, arrays, a folder of images; recorded or
-denoised) instead of a dataset:
+RECORDING (ARIS, DDF, Oculus, a bag, a video, a stack, arrays, a folder of images or of recordings;
+recorded or denoised) instead of a dataset:
   --to mp4    a video that any player shows, pings as fans; lossy, for viewing
   --to png    an image of each frame, pings as fans
   --to csv    a table of frames: number, times, range window, pose and device
@@ -60,6 +60,35 @@ def main(words: Sequence[str]) -> int:
     if chosen is None:
         export_dataset(arguments)
         return 0
+    for recording in _recordings_in(chosen):
+        _export(recording)
+    return 0
+
+
+def _recordings_in(chosen: _Chosen) -> list[_Chosen]:
+    """What to export: the recording, or each one of a folder, into a folder of files."""
+    folder = chosen.source
+    if not folder.is_dir() or is_recording(folder):
+        return [chosen]
+    sources = [path for path in sorted(folder.iterdir()) if is_recording(path)]
+    if not sources:
+        return [chosen]
+    out = chosen.target if chosen.format == "png" else chosen.target.parent
+    if chosen.format != "png" and chosen.target.stem != folder.name:
+        raise FactoryError(f"--out {chosen.target}: {folder} holds recordings; give a folder")
+    suffix = "" if chosen.format == "png" else f".{chosen.format}"
+    targets = [out / f"{source.name}{suffix}" for source in sources]
+    for target in targets:
+        if target.exists():
+            raise FactoryError(f"--out {target}: is there already; give another name")
+    return [
+        chosen._replace(source=source, target=target)
+        for source, target in zip(sources, targets, strict=True)
+    ]
+
+
+def _export(chosen: _Chosen) -> None:
+    """Export one recording."""
     require(Need(f"--to {chosen.format}", module) for module in _NEEDS[chosen.format])
     write = {"mp4": _write_video, "png": _write_images, "csv": _write_table}[chosen.format]
     with open_recording(chosen.source, chosen.topics) as recording:
@@ -68,7 +97,6 @@ def main(words: Sequence[str]) -> int:
             print(f"warning: {recording.warning}")
     print(f"export: {count} frames")
     print(f"{'folder' if chosen.target.is_dir() else 'file'}: {chosen.target}")
-    return 0
 
 
 class _Chosen(NamedTuple):

@@ -66,7 +66,8 @@ def build_network(config: Mapping[str, Any]) -> Network:
     if isinstance(kind, str) and kind in extensions.names("network"):
         values = {key: value for key, value in config.items() if key != "kind"}
         own = own_network(kind)
-        return own(build(own.settings, values, "model"))
+        built: Network = own(build(own.settings, values, "model"))
+        return built
     if not isinstance(kind, str) or kind not in known:
         raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(known)}")
     config = {key: value for key, value in config.items() if (key, value) not in _GONE.items()}

@@ -51,7 +51,7 @@ class Sector(NamedTuple):
         """(H, W), 1 where the centre of a pixel lies in the sector, 0 elsewhere."""
         first, last = row_spans(self, np.arange(width))
         rows = np.arange(height)[:, None]
-        return ((first <= rows) & (rows <= last)).astype(np.uint8)
+        return np.asarray((first <= rows) & (rows <= last), np.uint8)
 
     def to_geometry(self) -> FanGeometry:
         """The fan that has its data in this sector; the device's sector is symmetric."""

@@ -90,3 +90,14 @@ def test_what_cannot_be_exported(tmp_path: Path, capsys: pytest.CaptureFixture[s
     with pytest.raises(SystemExit):
         main(["export", "--help"])
     assert "--to csv" in capsys.readouterr().out
+
+
+def test_each_recording_of_a_folder_gets_its_table(tmp_path: Path) -> None:
+    folder = tmp_path / "dives"
+    folder.mkdir()
+    for name in ("a", "b"):
+        np.save(folder / f"{name}.npy", np.zeros((3, 40, 50), np.uint8))
+    out = tmp_path / "tables"
+    assert main(["export", str(folder), "--to", "csv", "--out", str(out)]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["a.npy.csv", "b.npy.csv"]
+    assert main(["export", str(folder), "--to", "csv", "--out", str(tmp_path / "one.csv")]) == 2
