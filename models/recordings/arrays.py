@@ -85,27 +85,19 @@ class _Listed:
         """What else its axes could mean, and how to say so; mostly empty."""
         if len(self.shape) != 3 or self.axis is None:
             return ""
+        is_doubtful = min(self.shape) >= _LEAST_BEAMS
+        if not self.is_matlab:
+            is_doubtful = min(self.page_shape) < _LEAST_BEAMS <= min(self.shape[:2])
+            is_doubtful = is_doubtful or self.shape[0] in _CHANNELS[2:]
+        if not is_doubtful:
+            return ""
+        sides = " x ".join(map(str, self.shape))
         height, width = self.page_shape[:2]
-        read_as = f"is read as {self.count} images of {height} x {width}"
-        if self.is_matlab:
-            if min(self.shape) < _LEAST_BEAMS:
-                return ""
-            sides = " x ".join(map(str, self.shape))
-            return (
-                f"{self.name} ({sides}) {read_as}, the last axis counts them; if the first one "
-                "does, save permute(x, [2 3 1])"
-            )
-        if min(self.page_shape) < _LEAST_BEAMS <= min(self.shape[:2]):
-            return (
-                f"{read_as}, the first axis counts them; if the last one does, save "
-                "np.moveaxis(x, -1, 0)"
-            )
-        if self.shape[0] in _CHANNELS[2:]:
-            return (
-                f"{read_as}, one after the other; if the first axis counts colours, save "
-                "np.moveaxis(x, 0, -1)"
-            )
-        return ""
+        return (
+            f"its array of {sides} is read as {self.count} images of {height} x {width}, counted "
+            f"by the {'first' if self.axis == 0 else 'last'} axis; if another axis counts images "
+            "or colours, save it as .npy of (N, H, W) or (H, W, 3)"
+        )
 
     def images_first(self, array: Array) -> Array:
         """The stored array with the axis first that counts images."""
