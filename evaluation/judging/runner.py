@@ -99,22 +99,23 @@ class Denoised(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JudgingTask:
-    """Methods that differ in their levels alone on some images; the unit that travels to a worker.
+    """Methods that differ in their levels alone on one subject; the unit that travels to a worker.
 
-    keep: numbers of the images whose denoised images come back.
+    number: of the subject.  keep: whether the denoised images come back.
     """
 
     methods: tuple[Method, ...]
-    subjects: Mapping[int, Subject]
+    number: int
+    subject: Subject
     device: str
-    keep: frozenset[int] = frozenset()
+    keep: bool = False
 
 
 class MethodResult(NamedTuple):
-    """What a method gave: figures and images by number of the image."""
+    """The figures of a method on a subject, and its image where that is kept."""
 
-    figures: dict[int, dict[str, Any]]
-    images: dict[int, Grey]
+    figures: dict[str, Any]
+    image: Grey | None
 
 
 @dataclass(eq=False)
@@ -167,14 +168,13 @@ def run(
     *,
     device: str,
     timeout_s: float,
-    chunk: int = 1,
     keep: Callable[[int], bool] = lambda number: False,
     tick: Callable[[], object] = lambda: None,
 ) -> Measured:
     """Every method on every image.
 
     methods: of different labels.  batches: number -> image; of a batch all are in memory.
-    timeout_s: for one method on one image.  chunk: images in a task.
+    timeout_s: for one method on one image.
     keep: whether the denoised images of an image come back.
     tick: called for each result of a method on an image.
 
@@ -187,19 +187,16 @@ def run(
         forms.setdefault(method.output, []).append(method)
 
     def limit_s(task: JudgingTask) -> float:
-        return timeout_s * sum(subject.images for subject in task.subjects.values())
+        return timeout_s * task.subject.images
 
     for batch in batches:
-        images = list(batch.items())
         waiting: deque[JudgingTask] = deque()
-        for first in range(0, len(images), chunk):
-            subjects = dict(images[first : first + chunk])
-            kept = frozenset(filter(keep, subjects))
+        for number, subject in batch.items():
             for alike in forms.values():
                 if alike[0].label not in measured.lost:
-                    waiting.append(JudgingTask(tuple(alike), subjects, device, kept))
+                    waiting.append(JudgingTask(tuple(alike), number, subject, device, keep(number)))
         for task, results in pool.run(measure_task, waiting, limit_s):
-            for _ in range(len(task.subjects) * len(task.methods)):
+            for _ in task.methods:
                 tick()
             labels = [method.label for method in task.methods]
             if isinstance(results, TaskLost | str):
@@ -210,8 +207,9 @@ def run(
                     waiting.remove(other)
                 continue
             for label, result in zip(labels, results, strict=True):
-                measured.figures[label] |= result.figures
-                measured.images |= {(label, n): image for n, image in result.images.items()}
+                measured.figures[label][task.number] = result.figures
+                if result.image is not None:
+                    measured.images[label, task.number] = result.image
     for label in measured.lost:
         measured.figures[label].clear()
     return measured
@@ -222,16 +220,14 @@ def measure_task(task: JudgingTask) -> list[MethodResult] | str:
 
     Raises FactoryError for a damaged image.
     """
-    results = [MethodResult({}, {}) for _ in task.methods]
-    for number, subject in task.subjects.items():
-        subject.load()
-        try:
-            denoised = subject.denoise(task.methods[0], task.device)
-        except Exception as error:  # a method that crashes loses its row, not the report
-            return reason(error)
-        for method, result in zip(task.methods, results, strict=True):
-            image = denoised.image if method.levels is None else method.levels(denoised.image)
-            result.figures[number] = {**subject.measure(image), SECONDS: denoised.seconds}
-            if number in task.keep:
-                result.images[number] = image
+    task.subject.load()
+    try:
+        denoised = task.subject.denoise(task.methods[0], task.device)
+    except Exception as error:  # a method that crashes loses its row, not the report
+        return reason(error)
+    results = []
+    for method in task.methods:
+        image = denoised.image if method.levels is None else method.levels(denoised.image)
+        figures = {**task.subject.measure(image), SECONDS: denoised.seconds}
+        results.append(MethodResult(figures, image if task.keep else None))
     return results

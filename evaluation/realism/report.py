@@ -31,7 +31,6 @@ from ..report.tables import as_table, plain, written
 if TYPE_CHECKING:
     import pandas as pd
 
-_EXAMPLES = 8
 _RULE = (
     "Kolmogorov-Smirnov distances of the images' features, 0 to 1. `real` is that of two "
     "halves of the real images, which a perfect simulation would reach. Overall: geometric "
@@ -80,7 +79,7 @@ def evaluate(settings: RealismSettings) -> None:
 
 def _examples_of(collections: Mapping[str, Collection], grid: Grid) -> list[ComparedImages]:
     """Polar images of all collections beside each other, far range on top."""
-    columns = [collection.at_most(_EXAMPLES).sources for collection in collections.values()]
+    columns = [collection.at_most(SMALLEST).sources for collection in collections.values()]
     examples = []
     for number, sources in enumerate(zip(*columns, strict=False), start=1):
         images = {}

@@ -35,10 +35,6 @@ PAGE_NAME = "report.html"
 REPORT_NAME = "report.json"
 RESULTS_NAME = "results.csv"
 
-_PAIRS_PER_TASK = 4
-# Beside noisy and clean in the viewer.
-_EXAMPLE_METHODS = 10
-
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:
     """Make the report in `settings.folder` and print its leaderboard; returns its content.
@@ -66,7 +62,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     shape = "x".join(map(str, pair_images(items[0].place).clean.shape))
     content["facts"] |= {"image": shape, "config_hash": config_hash_of(items[0])}
     write_results(out / RESULTS_NAME, measured, items)
-    labels = shown_rows(content["rows"], _EXAMPLE_METHODS)
+    labels = shown_rows(content["rows"])
     examples = [
         compared(measured, number, items[number].title, labels, "clean",
                  pair_images(items[number].place).clean)
@@ -117,7 +113,6 @@ def measure(
             pool,
             device=settings.device,
             timeout_s=settings.image_timeout_s,
-            chunk=_PAIRS_PER_TASK,
             keep=keep,
             tick=bar.update,
         )

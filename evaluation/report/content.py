@@ -247,11 +247,11 @@ def best_forms(rows: Sequence[Content]) -> list[Content]:
     return list(best.values())
 
 
-def shown_rows(rows: Sequence[Content], most: int) -> list[str]:
+def shown_rows(rows: Sequence[Content]) -> list[str]:
     """Labels for images: noisy, then of each method its best form, best first."""
     alive = [row for row in rows if row["lost"] is None]
     best = [row["label"] for row in best_forms(alive) if row["kind"] != "noisy"]
-    return ["noisy", *best[:most]]
+    return ["noisy", *best]
 
 
 def _as_dict(item: Estimate) -> dict[str, Any]:
