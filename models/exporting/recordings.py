@@ -1,14 +1,14 @@
-"""`simnfnd export RECORDING --to mp4|png|csv`: recorded or denoised, for other software.
+"""`simnfnd export RECORDING --to mp4|png|csv|mcap`: recorded or denoised, for other software.
 
-A video that any player shows, an image of each frame, or a table of frames with their times and
-what the file says of sonar and pose.
+A video that any player shows, an image of each frame, a table of frames with their times and what
+the file says of sonar and pose, or a bag of ROS 2.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,19 +16,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...factory.common.array_types import Array
 from ...factory.common.command_line import Parser
 from ...factory.common.errors import FactoryError
 from ...factory.common.extras import Need, require
 from ...factory.common.files import explain_os_errors, refuse_files, whole_file, whole_folder
 from ...factory.common.progress import Bar
+from ...factory.common.ros_types import SONAR
 from ...factory.production.commands.export import main as export_dataset
+from ...factory.production.export.ros_messages import (
+    PingFacts,
+    PingGrid,
+    image_message,
+    ping_message,
+)
 from ..recordings import Recording, SonarFrame, dataset_of, is_recording, open_recording
 from ..recordings.base import FULL_SCALE, RecordingDevice, SonarPose
 from ..recordings.views import fan_of, grey_of, polar_geometry
 
-FORMATS = ("mp4", "png", "csv")
-_NEEDS = {"mp4": ("av", "cv2"), "png": ("cv2",), "csv": ()}
+FORMATS = ("mp4", "png", "csv", "mcap")
+_FOLDERS = ("png", "mcap")
+_NEEDS = {"mp4": ("av", "cv2"), "png": ("cv2",), "csv": (), "mcap": ("rosbags", "cv2")}
 _POLAR = "_polar.png"
+_PERIOD_S = 0.1  # of recordings without times
 _LEAST_CLOCK_S = 1e8  # seconds since 1970; less counts from the start of the recording
 _FRAME_COLUMNS = (
     "frame", "file", "time_s", "time_utc", "duration_s", "rows", "columns", "beams",
@@ -42,6 +52,7 @@ recorded or denoised) instead of a dataset:
   --to mp4    a video that any player shows, pings as fans; lossy, for viewing
   --to png    an image of each frame, pings as fans
   --to csv    a table of frames: number, times, range window, pose and device
+  --to mcap   a bag of ROS 2: pings as ProjectedSonarImage, images as Image
   --out       a new folder, or the name of the .mp4 or .csv file
   --topic     topic of a bag to export (may be repeated)
 
@@ -73,10 +84,11 @@ def _recordings_in(chosen: _Chosen) -> list[_Chosen]:
     sources = [path for path in sorted(folder.iterdir()) if is_recording(path)]
     if not sources:
         return [chosen]
-    out = chosen.target if chosen.format == "png" else chosen.target.parent
-    if chosen.format != "png" and chosen.target.stem != folder.name:
+    is_folder = chosen.format in _FOLDERS
+    out = chosen.target if is_folder else chosen.target.parent
+    if not is_folder and chosen.target.stem != folder.name:
         raise FactoryError(f"--out {chosen.target}: {folder} holds recordings; give a folder")
-    suffix = "" if chosen.format == "png" else f".{chosen.format}"
+    suffix = "" if is_folder else f".{chosen.format}"
     targets = [out / f"{source.name}{suffix}" for source in sources]
     for target in targets:
         if target.exists():
@@ -90,7 +102,12 @@ def _recordings_in(chosen: _Chosen) -> list[_Chosen]:
 def _export(chosen: _Chosen) -> None:
     """Export one recording."""
     require(Need(f"--to {chosen.format}", module) for module in _NEEDS[chosen.format])
-    write = {"mp4": _write_video, "png": _write_images, "csv": _write_table}[chosen.format]
+    write = {
+        "mp4": _write_video,
+        "png": _write_images,
+        "csv": _write_table,
+        "mcap": _write_bag,
+    }[chosen.format]
     with open_recording(chosen.source, chosen.topics) as recording:
         count = write(recording, chosen)
         if recording.warning:
@@ -122,17 +139,17 @@ def _chosen(words: list[str]) -> _Chosen | None:
                 f"--to {options.to}: is for datasets; recordings become {', '.join(FORMATS)}"
             )
         return None
-    # A video or table of a dataset is that of its recording; images are the dataset's export.
-    if options.to == "png" and (is_dataset or not (source.exists() or dataset_of(source))):
+    # A video or table of a dataset is that of its recording; folders are the dataset's export.
+    if options.to in _FOLDERS and (is_dataset or not (source.exists() or dataset_of(source))):
         return None
     if others:
         raise FactoryError(f"{others[0]}: belongs to the export of datasets; leave it out")
     out = options.out.expanduser()
     target = out
-    if options.to != "png" and out.suffix.lower() != f".{options.to}":
+    if options.to not in _FOLDERS and out.suffix.lower() != f".{options.to}":
         refuse_files(out)
         target = out / f"{source.stem}.{options.to}"
-    elif options.to == "png":
+    elif options.to in _FOLDERS:
         refuse_files(out)
     if target.is_file():
         raise FactoryError(f"--out {target}: is there already; give another name")
@@ -173,6 +190,45 @@ def _write_images(recording: Recording, chosen: _Chosen) -> int:
             write_image(folder / f"{frame.number:06d}.png", _image_of(frame))
             count += 1
     return count
+
+
+def _write_bag(recording: Recording, chosen: _Chosen) -> int:
+    from ...factory.production.export.ros_messages import IMAGE, PING_FRAME, Bag, stamp_at
+
+    count = 0
+    with (
+        whole_folder(chosen.target) as folder,
+        Bag(folder / chosen.source.stem) as bag,
+    ):
+        for frame in _frames(recording):
+            time_s = count * _PERIOD_S if frame.time_s is None else frame.time_s
+            stamp = stamp_at(time_s, bag.types)
+            header = bag.types["std_msgs/msg/Header"](stamp=stamp, frame_id=PING_FRAME)
+            if frame.beams is None:
+                image = image_message(_bytes_or_floats(frame), header, bag.types)
+                bag.write(time_s, [("/sonar/image", IMAGE, image)])
+            else:
+                bag.write(time_s, [("/sonar", SONAR, _ping_of(frame, header, bag.types))])
+            count += 1
+    return count
+
+
+def _ping_of(frame: SonarFrame, header: Any, types: Mapping[str, Any]) -> Any:
+    assert frame.beams is not None
+    samples = _bytes_or_floats(frame)
+    beams = frame.beams
+    bin_m = (beams.range_max_m - beams.range_min_m) / len(samples)
+    ranges_m = beams.range_min_m + bin_m * (np.arange(len(samples)) + 0.5)
+    grid = PingGrid(ranges_m, np.asarray(beams.azimuths_rad, np.float64))
+    facts = PingFacts(frame.device.sound_speed_m_s or 0.0, 0.0, 0.0)
+    frequency_hz = 1000 * (frame.device.frequency_khz or 0.0)
+    return ping_message(samples, grid, header, frequency_hz, facts, types)
+
+
+def _bytes_or_floats(frame: SonarFrame) -> Array:
+    """(H, W) grey values: uint8 as stored, others float32 in 0..1."""
+    samples = frame.samples
+    return samples if samples.dtype == np.uint8 and samples.ndim == 2 else grey_of(frame)
 
 
 def _image_of(frame: SonarFrame) -> Any:

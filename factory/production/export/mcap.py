@@ -115,7 +115,9 @@ def _messages(
     for layer in _LAYERS:
         image = sample.images[layer]
         polar = polar_image(image, geometry, grid)
-        yield f"/sonar/{layer}", SONAR, ping_message(polar, grid, header, sonar, facts, types)
+        frequency_hz = 1000 * sonar.frequency_khz
+        message = ping_message(polar, grid, header, frequency_hz, facts, types)
+        yield f"/sonar/{layer}", SONAR, message
         yield f"/sonar/{layer}/image", IMAGE, image_message(image, header, types)
     pose = pose_message(sample.record, stamp, types)
     if pose is not None:

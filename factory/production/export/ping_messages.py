@@ -56,7 +56,9 @@ class PingMessages:
         header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=PING_FRAME)
         yield STATIC, TRANSFORMS, ping_axes(stamp, types)
         grid = polar_grid(self._device, ping.geometry)
-        message = ping_message(ping.polar, grid, header, self._device, self._facts, types)
+        message = ping_message(
+            ping.polar, grid, header, 1000 * self._device.frequency_khz, self._facts, types
+        )
         yield "/sonar/noisy", SONAR, message
         yield "/sonar/noisy/image", IMAGE, image_message(ping.fan, header, types)
         pose = pose_message(ping.world, stamp, types)

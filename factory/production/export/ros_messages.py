@@ -200,7 +200,7 @@ def polar_image(image: Array, geometry: FanGeometry, grid: PingGrid) -> Array:
 
 
 def ping_message(
-    polar: Array, grid: PingGrid, header: Any, sonar: SonarDevice,
+    polar: Array, grid: PingGrid, header: Any, frequency_hz: float,
     facts: PingFacts, types: Mapping[str, Any],
 ) -> Any:  # fmt: skip
     """The message ProjectedSonarImage of a ping: samples, beams, ranges and what is known of it."""
@@ -212,7 +212,7 @@ def ping_message(
         data=np.ascontiguousarray(polar).reshape(-1).view(np.uint8),
     )
     info = types["marine_acoustic_msgs/msg/PingInfo"](
-        frequency=1000 * sonar.frequency_khz,
+        frequency=frequency_hz,
         sound_speed=facts.sound_speed_m_s,
         tx_beamwidths=_widths(facts.vertical_rad, 1),
         rx_beamwidths=_widths(facts.beam_rad, polar.shape[1]),

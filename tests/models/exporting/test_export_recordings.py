@@ -101,3 +101,19 @@ def test_each_recording_of_a_folder_gets_its_table(tmp_path: Path) -> None:
     assert main(["export", str(folder), "--to", "csv", "--out", str(out)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["a.npy.csv", "b.npy.csv"]
     assert main(["export", str(folder), "--to", "csv", "--out", str(tmp_path / "one.csv")]) == 2
+
+
+def test_a_recording_as_a_bag_of_ros(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    source = write_aris(tmp_path / "a.aris", pings(3, 64, 48))
+    assert main(["export", str(source), "--to", "mcap", "--out", str(tmp_path / "bag")]) == 0
+    with (
+        simnfnd.open_recording(source) as recording,
+        simnfnd.open_recording(tmp_path / "bag/a") as bag,
+    ):
+        assert len(bag) == 3
+        np.testing.assert_array_equal(bag[2].samples, recording[2].samples)
+        assert bag[2].time_s == pytest.approx(recording[2].time_s)
+        assert bag[2].beams is not None
+        assert recording[2].beams is not None
+        assert bag[2].beams.range_max_m == pytest.approx(recording[2].beams.range_max_m, abs=1e-3)
