@@ -65,6 +65,7 @@ check: $(stamp) ## lint, formatting and types
 	$(python) -m ruff format --check
 	$(python) -m mypy
 	$(VENV)/bin/lint-imports
+	$(python) -m tools.old_tables
 
 docs: $(stamp) ## build the docs site into build/docs
 	NO_MKDOCS_2_WARNING=1 $(python) -m mkdocs build --quiet --strict $(ARGS)
