@@ -26,7 +26,7 @@ import psutil
 from . import ERROR, Backend, Pool, Task, WorkerDied, answered, start_worker_process, template
 
 _BEGIN_S = 60.0  # most time for a process to start, and for a further task to begin
-_FIRST_S = 300.0  # most time for its first task to begin: the process imports what it needs
+FIRST_S = 300.0  # most time for its first task to begin: the process imports what it needs
 END_S = 5.0  # most time for killed processes to exit
 LOOK_S = 0.5  # time between two looks for processes that are late or dead
 _NEWS = "news"
@@ -139,7 +139,7 @@ class _Worker:
             self._end()
         if self._process is None:
             self._start()
-        self._deadline = time.monotonic() + (_BEGIN_S if self._answered else _FIRST_S)
+        self._deadline = time.monotonic() + (_BEGIN_S if self._answered else FIRST_S)
         begun = False
         if self._stopped:  # while it was being started
             _kill(self._process)

@@ -18,10 +18,9 @@ from typing import Any
 
 from ...common.errors import FactoryError
 from ...common.workers import ERROR, Backend, Task, WorkerDied, answered
-from ...common.workers.local import END_S, LOOK_S
+from ...common.workers.local import END_S, FIRST_S, LOOK_S
 from ...common.workers.template import THREAD_VARIABLES
 
-_START_S = 120  # most time for a worker to start
 _ANSWER_S = 30  # most time to reach the scheduler, for its answers, and to fetch a result
 
 
@@ -74,7 +73,7 @@ class DaskBackend(Backend):
                         env=dict.fromkeys(THREAD_VARIABLES, "1"),
                         silence_logs=logging.CRITICAL,
                     )
-                self._cluster.wait_for_workers(workers, timeout=_START_S)
+                self._cluster.wait_for_workers(workers, timeout=FIRST_S)
             scheduler_address = address or self._cluster.scheduler_address
             self._client = self._distributed.Client(
                 scheduler_address, timeout=_ANSWER_S, set_as_default=False
@@ -117,7 +116,7 @@ class DaskBackend(Backend):
         )
         future: Future[Any] = Future()
         # Until it is heard of, its worker may still be starting.
-        heard_at = time.monotonic() + _START_S
+        heard_at = time.monotonic() + FIRST_S
         with self._lock:
             self._tasks[name] = _Sent(task, future, remote, heard_at)
         # Not in the one thread of all callbacks, which a result that is lost would hold up.

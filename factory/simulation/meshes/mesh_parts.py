@@ -18,6 +18,7 @@ from ...common.errors import FactoryError
 from ...common.files import real_path
 from ...common.isolated import IsolatedProcess
 from ...common.small_files import one_line
+from ..frames.frame import LIKELY_M
 from .blend_files import BLENDER_SUFFIXES
 from .mesh_loading import Z_UP, linked_files, load
 from .triangle_mesh import Mesh
@@ -27,7 +28,6 @@ SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", *BLENDER_SUFFIXES)
 _STATED_UP = {".glb": "y", ".gltf": "y"} | dict.fromkeys(BLENDER_SUFFIXES, "z")
 # Suffixes of files that may name others.
 _LINKING = (".gltf", ".obj", *BLENDER_SUFFIXES)
-_SMALLEST_M = 0.005
 # Blender reserves more than a gigabyte before it has read anything.
 READING = IsolatedProcess(3 << 30)
 """Where files are read."""
@@ -142,7 +142,7 @@ def _check_size(
     """Raise FactoryError for a world too small or too large, whose unit is hardly the metre."""
     points = np.concatenate([part.mesh.vertices for part in parts])
     size_m = float(np.ptp(points, axis=0).max()) * scale
-    if _SMALLEST_M <= size_m <= largest_m:
+    if LIKELY_M[0] <= size_m <= largest_m:
         return
     wanted = scale / 1000 if size_m > largest_m else scale * 1000
     unit = "in millimetres?" if size_m > largest_m else "divided twice?"
