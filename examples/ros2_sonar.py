@@ -12,6 +12,8 @@ import argparse
 from array import array
 from importlib import import_module
 
+import numpy as np
+
 from simnfnd import Sonar
 from simnfnd.factory.production.export.ping_messages import PingMessages
 from simnfnd.factory.simulation.pings.trajectories import poses_of
@@ -33,7 +35,7 @@ class RosTypes(dict):
 
 def plain(value):
     """Arrays of NumPy as ROS takes them."""
-    if not hasattr(value, "dtype"):
+    if not isinstance(value, np.ndarray):
         return value
     return array("B" if value.dtype == "uint8" else "f", value.tobytes())
 
