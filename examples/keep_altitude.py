@@ -2,10 +2,11 @@
 
 python examples/keep_altitude.py [PINGS] [FOLDER]
 
-The sonar looks 35 degrees down.  In each ping the vehicle looks for the first echo in the middle
-beams, and takes the ground there for level: its altitude is the range times the sine of the angle
-below the horizon at which the lower edge of the beam looks.  A proportional controller with a limit
-of speed turns that into heave.  FOLDER gets altitude.csv and altitude.png (which needs matplotlib).
+The sonar looks 35 degrees down and ahead.  In each ping the vehicle looks for the first echo in the
+middle beams: there the lower edge of the beam meets the ground.  It remembers how high the ground
+is at that place, and has sailed over it seconds later.  A proportional controller with a limit of
+speed turns the height over the remembered ground into heave.
+FOLDER gets altitude.csv and altitude.png (which needs matplotlib).
 """
 
 import csv
@@ -24,13 +25,13 @@ GAIN_PER_S = 0.8
 TILT_DEG = 35.0
 # Grey values of the log display above haze and noise, and how many ranges in a row make an echo.
 LOUD = 90
-RUN = 6
+RUN = 3
 # The two-way beam still hears the ground this far beyond the half of its opening.
 EDGE_DEG = 14.0
 WORDS = (
     "sonar.range.min_m=0.5", "sonar.range.max_m=10", "sonar.image.layout=polar",
     f"sonar.tilt_deg={TILT_DEG:g}", f"sonar.altitude_m={WANTED_M + 0.6:g}",
-    "scenes.first_location=4",
+    "scenes.first_location=4", "sonar.range_bins=256", "scenes.width=320", "scenes.height=200",
 )  # fmt: skip
 
 
@@ -47,22 +48,31 @@ def first_echo_m(ping):
 
 
 def sail(pings):
-    """Time, altitude by the image and true altitude of each ping."""
+    """Time, altitude by the image and true altitude of each ping; and the last ping."""
+    edge_rad = np.deg2rad(TILT_DEG + EDGE_DEG)
+    places_m = []
+    ground_m = []
     heave_m = 0.0
-    altitude_m = WANTED_M
     rows = []
     with Sonar("seabed", sonar="oculus_c550d_hf", seed=1, overrides=WORDS) as sonar:
         for index in range(pings):
-            pose = Pose(surge_m=index * SPEED_M_S / RATE_HZ, heave_m=heave_m)
-            ping = sonar.ping(pose, index=index)
+            surge_m = index * SPEED_M_S / RATE_HZ
+            ping = sonar.ping(Pose(surge_m=surge_m, heave_m=heave_m), index=index)
             range_m = first_echo_m(ping)
             if range_m is not None:
-                seen_m = range_m * np.sin(np.deg2rad(TILT_DEG + EDGE_DEG))
-                altitude_m += 0.3 * (seen_m - altitude_m)
+                places_m.append(surge_m + range_m * np.cos(edge_rad))
+                ground_m.append(heave_m - range_m * np.sin(edge_rad))
+            altitude_m = heave_m - ground_below_m(surge_m, places_m, ground_m)
             rows.append((index / RATE_HZ, altitude_m, float(ping.world["sonar.altitude_m"])))
             speed = np.clip(GAIN_PER_S * (WANTED_M - altitude_m), -HEAVE_LIMIT_M_S, HEAVE_LIMIT_M_S)
             heave_m += float(speed) / RATE_HZ
     return rows, ping
+
+
+def ground_below_m(surge_m, places_m, ground_m):
+    """Height of the ground that was seen nearest to a place: the median of nine echoes."""
+    nearest = np.argsort(np.abs(np.array(places_m) - surge_m))[:9]
+    return float(np.median(np.array(ground_m)[nearest]))
 
 
 def draw(rows, ping, path):
