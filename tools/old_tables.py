@@ -1,4 +1,4 @@
-"""`python -m tools.old_tables`: tables of measurements in the docs that are older than two versions.
+"""`python -m tools.old_tables`: tables of measurements that are older than two versions.
 
 A table is as old as its newest line: the version that the checkout had when that line was written.
 Prints one line per table, and nothing where there is no history.
