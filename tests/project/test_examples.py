@@ -74,35 +74,6 @@ def test_workers_of_a_loader_share_a_dataset(dataset: Path, printed: Callable[..
     assert printed("load_with_workers.py", str(dataset)).startswith("24 of 24 pairs, ")
 
 
-@pytest.mark.parametrize(
-    ("script", "words"),
-    [
-        ("read_with_h5py.py", ()),
-        ("boxes.py", ()),
-        ("complex_field.py", ()),
-        ("draw_boxes.py", ("out.png",)),
-        ("draw_tracks.py", ("out.png",)),
-        ("load_with_workers.py", ()),
-        ("point_cloud.py", ("out.ply",)),
-        ("rgbd_to_csv.py", ()),
-        ("train_a_tiny_network.py", ()),
-        ("train_unet_on_stream.py", ()),
-    ],
-)
-def test_an_empty_folder_is_named(
-    script: str, words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-) -> None:
-    monkeypatch.setattr(sys, "argv", [script, str(tmp_path), *words])
-    with pytest.raises(SystemExit) as caught:
-        runpy.run_path(str(EXAMPLES / script), run_name="__main__")
-    assert str(tmp_path) in f"{caught.value.code}{capsys.readouterr().err}"
-    assert caught.value.code != 0
-    monkeypatch.setattr(sys, "argv", [script])
-    with pytest.raises(SystemExit) as caught:
-        runpy.run_path(str(EXAMPLES / script), run_name="__main__")
-    assert script in f"{caught.value.code}{capsys.readouterr().err}"
-
-
 @pytest.mark.slow
 def test_a_u_net_trains_on_the_stream(tmp_path: Path, printed: Callable[..., str]) -> None:
     make_dataset(

@@ -98,7 +98,3 @@ def test_a_loader_needs_what_the_page_says(needs: str, code: str, tmp_path: Path
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
     assert "32" in done.stdout
-
-
-def test_the_page_shows_three_loaders() -> None:
-    assert len(SNIPPETS) == 3

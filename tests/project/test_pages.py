@@ -21,7 +21,7 @@ import pytest
 from simnfnd.command import main
 from simnfnd.verbs import VERBS
 from tests.factory.production.cli_frames import ground, write_frame
-from tests.project.page_steps import PAGES, SMALL_SEABED, Step, fences, run, steps
+from tests.project.page_steps import PAGES, SMALL_SEABED, Step, run, steps
 from tests.project_files import ROOT
 
 SHARED = ROOT.parent / "shared" / "data"
@@ -36,20 +36,6 @@ RUN_HERE = {
     if not step.text.startswith(NOT_HERE)
 }
 IN_ORDER = sorted(RUN_HERE.values(), key=lambda step: (PAGES.index(step.page), step.line))
-
-
-def test_no_command_hides_and_each_says_how_long_it_takes() -> None:
-    for page in PAGES:
-        languages = {language for language, _, _ in fences(page)}
-        assert languages <= {"sh", "bash", "python", "py", "text", "yaml"}, page
-        silent = [step.text for step in STEPS[page] if step.kind == "sh" and not step.time_s]
-        assert [text for text in silent if not text.startswith(NOT_HERE)] == [], page
-
-
-def test_what_runs_elsewhere_really_does() -> None:
-    ci = (ROOT / ".ci/run").read_text(encoding="utf-8")
-    assert all(line in ci for line in ("make setup", "make test"))
-    assert "/bin/simnfnd demo $(ARGS)" in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

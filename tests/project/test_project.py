@@ -88,15 +88,6 @@ def test_everything_that_the_dependencies_need_is_pinned() -> None:
     assert not loose, f"constraints.txt lacks {sorted(loose)}: run `make constraints`"
 
 
-def test_the_two_versions_that_may_not_move() -> None:
-    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
-    assert "+" not in "".join(line for line in text.splitlines() if not line.startswith("#"))
-    # The one that the index of the tests has as a CPU build: any other one brings gigabytes of
-    # CUDA libraries.
-    assert pins()["torch"] == Version("2.13.0"), "no CPU build of another torch is at hand"
-    assert pins()["numpy"] < Version("2"), "bpy cannot load numpy 2"
-
-
 def test_no_file_names_a_place_on_somebodys_machine() -> None:
     # Assembled, so that this file does not hold what it forbids.
     places = "|".join(("work", "root", "tmp", "home", "opt", "Users", "mnt"))
@@ -130,15 +121,6 @@ def test_no_module_of_the_factory_imports_anything_heavy() -> None:
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr.strip()
-
-
-def test_an_experiment_begins_with_the_command_that_runs_it() -> None:
-    for path in (path for path in files() if path.match("conf/experiment/*.yaml")):
-        lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
-        # Hydra's own header may stand first.
-        first = next(line for line in lines if not line.startswith("# @"))
-        pattern = rf"# simnfnd (make|train) .*\bexperiment=\S*\b{path.stem}\b"
-        assert re.match(pattern, first), (path, first)
 
 
 # --- a release ----------------------------------------------------------------------------------
@@ -305,16 +287,6 @@ def test_all_run_and_the_failed_ones_are_named(
     assert "| ours \\| fast | 123 | 0.16 |" in text
     document = json.loads((folder / "outputs/benchmarks/report.json").read_text())
     assert document["sections"]["good"]["tables"][0]["rows"][0] == ["theirs", 1.0, 20.123456]
-
-
-@pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize("words", [["fast"], ["good", "--frame", "nowhere"]])
-def test_mistakes_are_one_line(words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
-    assert benchmarks.main(words) == 2
-    error = capfd.readouterr().err
-    assert error.startswith("error: ")
-    assert error.count("\n") == 1
-    assert words[-1] in error
 
 
 @pytest.mark.slow

@@ -91,20 +91,6 @@ def test_links_of_the_docs_are_there_in_a_checkout() -> None:
         assert missing == [], page
 
 
-def test_the_configuration_page_lists_every_choice() -> None:
-    text = (ROOT / "docs/configuration.md").read_text(encoding="utf-8")
-    # Devices have a page of their own; Hydra's own group is not for users.
-    files = [*(ROOT / "conf").glob("*/*.yaml")]
-    choices = {file.stem for file in files if file.parent.name not in ("sonar", "hydra")}
-    assert len(choices) > 50
-    assert sorted(choice for choice in choices if f"`{choice}`" not in text) == []
-    groups = {file.parent.name for file in files} - {"hydra"}
-    assert sorted(name for name in groups if f"`{name}`" not in text and name != "experiment") == []
-    devices = (ROOT / "docs/presets.md").read_text(encoding="utf-8")
-    for file in (ROOT / "conf/sonar").glob("*.yaml"):
-        assert f"`{file.stem}`" in devices
-
-
 def shown(document: nbformat.NotebookNode) -> list[list[str]]:
     """For each cell of code: what kinds of things it shows; text may come in pieces."""
     code = [cell for cell in document.cells if cell.cell_type == "code"]

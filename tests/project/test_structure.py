@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
-
-import pytest
 
 from tests.project_files import ROOT
 from tools.structure import (
     IMAGE,
     PAGE,
     SUITES,
-    CodeStructure,
-    Room,
     draw,
     read_structure,
     tabulate,
@@ -36,39 +31,6 @@ def test_no_import_points_up_or_round() -> None:
     assert {room.suite for room in structure.imports} == set(SUITES)
     assert structure.upward() == []
     assert structure.circles() == []
-
-
-def test_a_wrong_import_is_seen_and_drawn_red() -> None:
-    low, high, other = Room("common", "low"), Room("common", "high"), Room("models", "other")
-    imports = {room: frozenset[Room]() for room in (low, high, other)}
-    right = CodeStructure({**imports, high: frozenset({low}), other: frozenset({high})}, {})
-    assert (right.upward(), right.circles()) == ([], [])
-    assert 'class="wrong"' not in draw(right)
-    up = CodeStructure({**imports, low: frozenset({other})}, {})
-    assert up.upward() == [(low, other)]
-    assert 'class="wrong"' in draw(up)
-    circle = CodeStructure({**imports, low: frozenset({high}), high: frozenset({low})}, {})
-    assert set(circle.circles()[0]) == {"common/low", "common/high"}
-    assert 'class="wrong"' in draw(circle)
-
-
-def test_an_arrow_that_follows_from_others_is_left_out() -> None:
-    low, middle, high = (Room("models", name) for name in ("low", "middle", "high"))
-    imports = {low: frozenset[Room](), middle: frozenset({low}), high: frozenset({low, middle})}
-    assert draw(CodeStructure(imports, {})).count('class="arrow"') == 2
-
-
-def test_a_room_without_a_docstring_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tools.structure.ROOT", tmp_path)
-    (tmp_path / "models/bare").mkdir(parents=True)
-    (tmp_path / "models/__init__.py").write_text('"""Holds them.  Not shown."""\n')
-    (tmp_path / "models/bare/__init__.py").touch()
-    monkeypatch.setattr("tools.structure.SUITES", {"models": "models"})
-    assert tabulate([]).splitlines()[-1] == "| **`models`** | Holds them. |"
-    with pytest.raises(ValueError, match="models/bare"):
-        tabulate([Room("models", "bare")])
 
 
 def test_files_named_on_the_architecture_page_are_there() -> None:
