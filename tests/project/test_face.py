@@ -210,8 +210,8 @@ def test_images_and_weights_that_will_not_do(monkeypatch) -> None:
     images: list[tuple[np.ndarray, str]] = [
         (np.zeros(5), "expected"),
         (np.zeros((4, 4), np.int64), "int64"),
-        (np.full((4, 4), 2.0), r"0\.\.1"),
-        (np.full((5, 5, 3), [0, 1, np.nan]), r"0\.\.1"),
+        (np.full((4, 4), 2.0), "0 to 1"),
+        (np.full((5, 5, 3), [0, 1, np.nan]), "NaN"),
     ]
     for image, said in images:
         with pytest.raises(ValueError, match=said):

@@ -49,6 +49,8 @@ _RULES = (
     _Rule(("split.test_fraction",), "split.test", ((),)),
     _Rule(("dataset.compression_level",), "dataset.compression", ("gzip",)),
 )  # fmt: skip
+# Only training images get the drawn height; a dataset keeps that of its images.
+_KEPT = "sonar.image.height_px"
 # Keys whose drawn counterpart in `devices` has another name.
 _DRAWN_AS = {"range_bins": "bins_per_px", "kind": "log_share", "sampling": "nearest_share"}
 
@@ -82,7 +84,7 @@ def reason_without_effect(
         block = blocks(config.noise).get(effect)
         if block is not None and not block.enabled and parameter not in ([], ["enabled"]):
             return f"has no effect; set noise.{effect}.enabled=true, too, or leave it out"
-    elif config.devices is not None and key.startswith(("sonar.", "acoustics.")):
+    elif config.devices is not None and key.startswith(("sonar.", "acoustics.")) and key != _KEPT:
         name = key.rpartition(".")[2]
         drawn_as = _DRAWN_AS.get(name, name)
         if getattr(config.devices, drawn_as, None) is not None:
