@@ -103,7 +103,7 @@ def test_a_refused_frame_leaves_the_stream_as_it_was() -> None:
     with simnfnd.Denoiser(geometry=None) as undisturbed, simnfnd.Denoiser(geometry=None) as stream:
         for frame in stack:
             for refused in (bad, np.zeros(3, np.uint8), np.zeros((8, 8), np.int64)):
-                with pytest.raises(ValueError, match="expected|must lie|NaN"):
+                with pytest.raises(ValueError, match=r"expected|must lie|NaN"):
                     stream(refused)
             np.testing.assert_array_equal(stream(frame), undisturbed(frame))
     with pytest.raises(ValueError, match="time_s"):
