@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...common.errors import FactoryError
-from ..meshes.camera import movements
+from ..meshes.camera import MOVEMENT, movements
 from ..scenes.poses import trajectory
 from .pose import Pose
 
@@ -51,9 +51,8 @@ def _movements(path: Path, rate_hz: float) -> Iterator[TimedPose]:
     lines = movements(path)
     start_s = lines[0].get("time_s", 0.0)
     for number, line in enumerate(lines):
-        moves = dict(line)
-        time_s = moves.pop("time_s", start_s + number / rate_hz)
-        yield TimedPose(time_s - start_s, Pose(**moves))
+        time_s = line.get("time_s", start_s + number / rate_hz)
+        yield TimedPose(time_s - start_s, Pose(*(line.get(name, 0.0) for name in MOVEMENT)))
 
 
 def _recorded(path: Path, rate_hz: float) -> Iterator[TimedPose]:
