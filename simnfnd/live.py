@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections import OrderedDict
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
@@ -40,8 +42,8 @@ class Denoiser:
 
     Every call takes one frame and returns it denoised, with the bytes that
     `simnfnd denoise --causal` writes for the same frames.  Frames may be left out, come twice or
-    change their size.  Memory does not grow with their number.  An object serves one stream and one
-    thread.
+    change their size.  Memory does not grow with their number.  An object serves one stream;
+    threads that share it take turns, in any order.
 
         with Denoiser() as stream:
             for frame in frames:
@@ -83,6 +85,7 @@ class Denoiser:
         self._sequence = denoising.open_sequence(at_once=1)
         self._trackers: OrderedDict[tuple[str, tuple[int, ...]], FanTracker] = OrderedDict()
         self._is_open = True
+        self._lock = threading.Lock()
         self._count = 0
         self._resized = 0
         self._repeated = 0
@@ -101,17 +104,21 @@ class Denoiser:
         Raises ValueError for another shape or dtype, NaN, floats outside 0..1, a geometry that does
         not fit, and after `close`.  The stream goes on after a frame that was refused.
         """
-        if not self._is_open:
-            raise ValueError("the stream is closed; open another Denoiser")
         if time_s is not None and not math.isfinite(time_s):
             raise ValueError(f"time_s={time_s}: expected seconds, or None")
         recorded = self._frame_of(frame, time_s)
         dtype = recorded.samples.dtype
         if dtype.kind == "f" and dtype != np.float32:
-            from dataclasses import replace
-
             recorded = replace(recorded, samples=recorded.samples.astype(np.float32))
-        shot = self._shot_of(recorded)
+        with self._lock:
+            return self._denoise(recorded).astype(dtype, copy=False)
+
+    def _denoise(self, recorded: SonarFrame) -> Array:
+        """The samples of the next frame, denoised."""
+        if not self._is_open:
+            raise ValueError("the stream is closed; open another Denoiser")
+        # Frames of a recording may come twice, or in another order.
+        shot = self._shot_of(replace(recorded, number=self._count))
         self._count += 1
         shape = recorded.samples.shape
         self._resized += self._shape not in (None, shape)
@@ -119,7 +126,7 @@ class Denoiser:
         (denoised,) = self._sequence.push(shot)
         self._repeated += bool(denoised.facts.is_copy)
         self._unmatched += 0 < denoised.facts.fused <= 1 and not denoised.facts.is_copy
-        return denoised.image.astype(dtype, copy=False)
+        return denoised.image
 
     @property
     def counts(self) -> StreamCounts:

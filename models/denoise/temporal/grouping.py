@@ -36,7 +36,9 @@ class _Look(NamedTuple):
     """What grouping keeps of a frame.
 
     parent: the frame that it is linked to; None where it is like none.
+    is_same_scene: whether it differs from its parent by a gain at most.
     change: part of the grain in which it differs from its parent; see `changed_grain`.
+    is_little: whether so little of the grain changed that it is a copy.
     brightness: grey value of its brightest echoes; 0: it is black.
     """
 
@@ -45,7 +47,9 @@ class _Look(NamedTuple):
     thumbnail: Array
     brightness: float
     parent: int | None
+    is_same_scene: bool
     change: float
+    is_little: bool
 
 
 class Grouping:
@@ -66,9 +70,17 @@ class Grouping:
         brightness = _brightness_of(grey)
         parent = self._most_like(number, thumbnail, grey.shape, settings)
         change = 1.0
+        is_same_scene = is_little = False
         if parent is not None and parent in self._greys:
+            likeness = likeness_of(thumbnail, self._looks[parent].thumbnail)
+            is_same_scene = likeness.is_same_scene
             change = changed_grain(self._greys[parent], grey)
-        self._looks[number] = _Look(settings, grey.shape, thumbnail, brightness, parent, change)
+            near = range(number - REACH, number)
+            changes = [self._looks[other].change for other in near if other in self._looks]
+            is_little = change <= most_change_of_copies([*changes, change])
+        self._looks[number] = _Look(
+            settings, grey.shape, thumbnail, brightness, parent, is_same_scene, change, is_little
+        )
         self._greys[number] = grey
         self._greys.pop(number - LOOK - 1, None)
         self._looks.pop(number - 8 * REACH, None)
@@ -169,9 +181,9 @@ class Grouping:
         """Whether frames do not take turns: none soon after is much closer to the parent."""
         look = self._looks[number]
         assert look.parent is not None
-        thumbnail = self._looks[look.parent].thumbnail
-        if likeness_of(look.thumbnail, thumbnail).is_same_scene:
+        if look.is_same_scene:
             return True
+        thumbnail = self._looks[look.parent].thumbnail
         from_parent = difference(look.thumbnail, thumbnail)
         newest = self.newest if now is None else min(now, self.newest)
         for later in range(number + 1, min(number + LOOK, newest) + 1):
@@ -194,11 +206,7 @@ class Grouping:
 
     def _changes_little(self, number: int) -> bool:
         look = self._looks.get(number)
-        if look is None or look.parent is None:
-            return False
-        near = range(number - REACH, number + 1)
-        changes = [self._looks[other].change for other in near if other in self._looks]
-        return look.change <= most_change_of_copies(changes)
+        return look is not None and look.is_little
 
 
 def _brightness_of(grey: Array) -> float:

@@ -17,8 +17,10 @@ import pytest
 
 from simnfnd.models.denoise import options, sequences
 from simnfnd.models.denoise.blocks import FOLDER, BlockFrame, BlockStore
+from simnfnd.models.denoise.images import Denoising
 from simnfnd.models.denoise.records import FrameRecord
 from simnfnd.models.denoise.temporal.stream import FrameFacts
+from simnfnd.models.recordings.inputs import Geometries, find_items
 from tests.models.denoise.test_resumed import (
     FRAMES,
     WRITERS,
@@ -89,6 +91,32 @@ def test_a_killed_run_goes_on(tmp_path: Path) -> None:
     last = run(0, "out")
     assert last.returncode == 0, last.stderr
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("causal", [False, True])
+def test_a_part_of_a_recording_has_the_bytes_of_the_whole(tmp_path: Path, causal: bool) -> None:
+    """Where frames drift, repeat, take turns, step in level and hide behind a title."""
+    frames = moving_scene(240, 32)
+    frames[1::3] = frames[::3]
+    frames[160:180:2] = frames[160:180:2] // 2
+    frames[181:183] = 90
+    path = tmp_path / "a.npy"
+    np.save(path, frames)
+    (item,) = find_items([path], tmp_path / "out")
+    source = sequences.RecordedFile(item, ())
+    denoising = Denoising(Smoothing(), frames=7, causal=causal)
+    means = sequences.Means(denoising, Geometries("find"), at_once=1)
+
+    def part(first: int, last: int | None) -> dict[int, bytes]:
+        finished = sequences.denoised_part(source, means, first, last)
+        return {each.frame.number: each.image.tobytes() for each in finished}
+
+    whole = part(0, None)
+    assert sorted(whole) == list(range(240))
+    for first, last in ((158, 161), (180, 184)):
+        expected = {number: whole[number] for number in range(first, last + 1)}
+        assert part(first, last) == expected
 
 
 @pytest.mark.slow
