@@ -123,7 +123,7 @@ def _frame_of(sample: TrainingImage) -> _Frame | None:
 
 def _spoke(rng: np.random.Generator, frame: _Frame) -> Float32s:
     """Interference along one bearing over all ranges, (H, W)."""
-    width_deg = _log_uniform(rng, *_SPOKE_WIDTHS_DEG)
+    width_deg = _width_deg(rng, *_SPOKE_WIDTHS_DEG)
     across = _bell(rng, frame.span_deg, width_deg, is_flat=rng.random() < 0.2)
     places = np.linspace(0, 1, _PLACES)
     shape = rng.integers(4)
@@ -146,7 +146,7 @@ def _spoke(rng: np.random.Generator, frame: _Frame) -> Float32s:
 
 def _wall(rng: np.random.Generator, frame: _Frame) -> tuple[Float32s, Float32s]:
     """An echo along one bearing that begins and ends, and its speckle, (H, W) each."""
-    width_deg = _log_uniform(rng, *_WALL_WIDTHS_DEG)
+    width_deg = _width_deg(rng, *_WALL_WIDTHS_DEG)
     across = _bell(rng, frame.span_deg, width_deg, is_flat=rng.random() < 0.4)
     length = rng.uniform(0.06, 0.55)
     start = rng.uniform(-0.05, 1.05 - length)
@@ -231,6 +231,11 @@ def _smooth_noise(rng: np.random.Generator, scale: float) -> Float32s:
     at = start + np.linspace(0, count - 2, _PLACES)
     curve = cv2.resize(values[None], (count * 16, 1), interpolation=cv2.INTER_CUBIC)[0]
     return np.interp(at, (np.arange(count * 16) + 0.5) / 16, curve).astype(np.float32)
+
+
+def _width_deg(rng: np.random.Generator, low: float, high: float) -> float:
+    """A width: half of them even in the logarithm, half as they are."""
+    return _log_uniform(rng, low, high) if rng.random() < 0.5 else float(rng.uniform(low, high))
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

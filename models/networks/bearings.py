@@ -18,13 +18,13 @@ from .bearing_view import BEARINGS, NODES, RANGES, SEGMENTS
 from .blocks import zeroed
 from .network import down_and_up
 
-_ZONES = 4  # of the ranges in which fluctuation is compared
+_ZONES = 8  # of the ranges in which fluctuation is compared
 _LAGS = (2, 6, 16, 40)  # distances of bearings whose fluctuation is compared, cells
 _TREND_ROWS = 9  # a mean over so many ranges is no fluctuation
-_BRIGHTEST = 8.0  # of the image's mean
+_BRIGHTEST = 20.0  # of the image's mean
 _FLOOR = 0.02  # grey value added to the mean of an image
 _WIDTHS = (48, 64, 96, 96, 96)
-_CHANNELS = 5 * SEGMENTS + 2 * _ZONES * len(_LAGS) + 2
+_CHANNELS = 6 * SEGMENTS + 2 * _ZONES * len(_LAGS) + 2
 
 
 class BearingHead(nn.Module):
@@ -40,7 +40,7 @@ class BearingHead(nn.Module):
             self.ups.insert(0, nn.ConvTranspose1d(coarse, fine, 2, stride=2))
         self.middle = _LineBlock(_WIDTHS[-1])
         self.decoders = nn.ModuleList(_LineBlock(width) for width in reversed(_WIDTHS[:-1]))
-        self.outro = zeroed(nn.Conv1d(_WIDTHS[0], NODES, 1))
+        self.outro = zeroed(nn.Conv1d(_WIDTHS[0], 2 * NODES, 1))
 
     def forward(self, view: Tensor, width_rad: Tensor) -> Tensor:
         """(N, NODES, BEARINGS) grey values, below 0 too, of `bearing_view` (N, 2, ...).
@@ -53,9 +53,11 @@ class BearingHead(nn.Module):
         level = ((grey * known).sum(dim=(1, 2)) / area + _FLOOR)[:, None, None]
         relative = (grey / level).clamp(0, _BRIGHTEST) * known
         scales = torch.cat([torch.log(level[:, 0]), torch.log(width_rad)], dim=1)
+        means = _means(relative, known)
         features = torch.cat(
             [
-                _levels(relative, known),
+                means,
+                _levels(relative, known, means),
                 _shared_fluctuation(relative, known),
                 scales[:, :, None].expand(-1, -1, BEARINGS),
             ],
@@ -64,7 +66,12 @@ class BearingHead(nn.Module):
         x = down_and_up(
             self.intro(features), self.encoders, self.downs, self.middle, self.ups, self.decoders
         )
-        nodes: Tensor = self.outro(x) * level
+        # A part of what the bearing holds there, and an amount beside it.
+        part, amount = self.outro(x).chunk(2, dim=1)
+        held = functional.interpolate(
+            means[:, None], (NODES, BEARINGS), mode="bilinear", align_corners=True
+        )[:, 0]
+        nodes: Tensor = (part * held + amount) * level
         return nodes
 
 
@@ -82,12 +89,17 @@ class _LineBlock(nn.Module):
         return x + changed
 
 
-def _levels(relative: Tensor, known: Tensor) -> Tensor:
-    """Mean, least, most, spread and known part of segments of range, (N, 5 segments, BEARINGS)."""
+def _means(relative: Tensor, known: Tensor) -> Tensor:
+    """Means of segments of range where they are known, (N, SEGMENTS, BEARINGS)."""
+    count = _parts(known, SEGMENTS).sum(2).clamp_min(1)
+    return _parts(relative, SEGMENTS).sum(2) / count
+
+
+def _levels(relative: Tensor, known: Tensor, mean: Tensor) -> Tensor:
+    """Roots of mean, least, most and variance, and known part of segments, (N, 5 SEGMENTS, ...)."""
     x = _parts(relative, SEGMENTS)
     is_known = _parts(known, SEGMENTS)
     count = is_known.sum(2).clamp_min(1)
-    mean = x.sum(2) / count
     least = (x + _BRIGHTEST * (1 - is_known)).amin(2)
     most = x.amax(2)
     variance = (x.square().sum(2) / count - mean.square()).clamp_min(0)
@@ -97,6 +109,8 @@ def _levels(relative: Tensor, known: Tensor) -> Tensor:
 
 def _shared_fluctuation(relative: Tensor, known: Tensor) -> Tensor:
     """Correlation along range with neighbouring bearings, (N, zones x lags x 2, BEARINGS)."""
+    # In the root, in which speckle varies alike in bright and dim places.
+    relative = torch.sqrt(relative + 1e-4)
     padded = functional.pad(relative[:, None], (0, 0, _TREND_ROWS // 2, _TREND_ROWS // 2))
     trend = functional.avg_pool2d(padded, (_TREND_ROWS, 1), stride=1)[:, 0]
     rough = _parts((relative - trend) * known, _ZONES)
@@ -141,4 +155,4 @@ def interference_loss(nodes: Tensor, truth: Tensor) -> Tensor:
     )[:, 0, 1::2]
     error = stated - truth
     deviation = (error.square().mean(dim=(1, 2)) + 1e-8).sqrt().mean()
-    return deviation + 2 * error.abs().mean()
+    return deviation + error.abs().mean()
