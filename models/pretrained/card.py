@@ -29,8 +29,11 @@ _NO_SETTINGS = ("data.recordings", "train.precision", "train.teacher")
 # Settings that weights which ship are older than, by the value that changes nothing.
 _ADDED_LATER = {
     "model.average_cells": False,
+    "model.bearings": False,
     "model.even_level": False,
     "data.displays": 0.0,
+    "data.radial": 0.0,
+    "loss.interference": 1.0,
     "loss.ssim": 0.0,
 }
 
