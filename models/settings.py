@@ -123,7 +123,6 @@ class TrainSettings:
     clip: Annotated[float, Field(gt=0, le=1e6)]
     ema: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "32-true", "bf16-mixed"]
-    teacher: str | None = None
 
     def __post_init__(self) -> None:
         """A training that is shorter than the interval is checked at its end."""

@@ -204,18 +204,17 @@ def crop(
         images |= {name: maps[name][:, ::step] for name in extras if name in maps}
         if flip and "azimuth_rad" in images:
             images["azimuth_rad"] = -images["azimuth_rad"]
-    batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
-    return batch | {"taught": torch.full((1, 1, 1, 1), sample.taught)}
+    return {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
 
 
 def scaled(part: Batch, shape: tuple[int, ...]) -> Batch:
     """A crop at another size, (rows, columns)."""
     rows, columns = shape
-    planes = {name: plane[0, 0].numpy() for name, plane in part.items() if name != "taught"}
+    planes = {name: plane[0, 0].numpy() for name, plane in part.items()}
     resized = resized_planes(planes, (rows, columns))
     if "sector" in resized:
         resized["sector"] = (resized["sector"] > _HALF).astype(np.float32)
-    return part | {name: torch.from_numpy(plane)[None, None] for name, plane in resized.items()}
+    return {name: torch.from_numpy(plane)[None, None] for name, plane in resized.items()}
 
 
 def concatenate(batches: Sequence[Batch]) -> Batch:

@@ -25,9 +25,7 @@ Anything = TypeVar("Anything")
 
 Batch = dict[str, torch.Tensor]
 """`noisy`, `clean` and `shadow`, (N, 1, H, W) float32 in 0..1, NaN where these are unknown; the
-extras that `models.networks` describes; and `taught` (N, 1, 1, 1)."""
-TAUGHT = 0.8
-"""Part of a target that a teacher's image is, where the data do not say."""
+extras that `models.networks` describes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,6 @@ class TrainingImage:
     geometry: where range and bearing are, or None.
     frames: (H, W) float32, how many frames were averaged in `noisy` (`networks.averaged`), or None
         for one.
-    taught: part of the target that a teacher's image is, 0 to 1.
     undisturbed: (H, W) float32, the noisy image without interference along bearings; None: there
         is none.
     """
@@ -49,7 +46,6 @@ class TrainingImage:
     shadow: Float32s | None = None
     geometry: FanGeometry | None = None
     frames: Float32s | None = None
-    taught: float = TAUGHT
     undisturbed: Float32s | None = None
 
 

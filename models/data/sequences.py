@@ -150,7 +150,6 @@ class SequenceSource(ImageSource):
             clean=window.reference,
             geometry=window.geometry,
             frames=averaged(numbers),
-            taught=0.0,
         )
 
     def _standing_scene(self, recording: str) -> Float32s:

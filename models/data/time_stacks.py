@@ -38,7 +38,6 @@ _SINGLE = 0.4  # part of the visits of a recording that show a single frame
 _UNEVEN = 0.45  # part of the means with uneven weights
 _OFF = 0.25  # part of the means that contain misaligned frames
 _OFF_PX = 0.5  # standard deviation of their misalignment
-_TAUGHT = 0.5  # of the target of a recording's single frame, what a teacher makes of it
 _AS_RECORDED = 0.4  # part of the visits of a recording that are not shown at another size and gain
 _SCALES = (0.55, 1.15)
 _GAINS = (0.5, 1.3)
@@ -49,27 +48,19 @@ _FULL = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """The frames of a recording, (T, H, W) uint8.
-
-    is_still: whether they are static, and so many that the mean of others can be a target.
-    """
+    """The frames of a static recording, (T, H, W) uint8, ten or more."""
 
     frames: UInt8s
     geometry: FanGeometry
-    is_still: bool
 
     def sample(self, rng: np.random.Generator) -> TrainingImage:
         """A single frame or a mean of several, towards the mean of others, NaN where unknown."""
         count = len(self.frames)
         most = min(_MOST, count // 2)
-        if not self.is_still or most < 2 or rng.random() < _SINGLE:
+        if rng.random() < _SINGLE:
             number = int(rng.integers(count))
             grey = _grey(self.frames[number])
-            if not self.is_still or count < 3:
-                return TrainingImage(
-                    grey, np.full_like(grey, np.nan), None, self.geometry, taught=1.0
-                )
-            return TrainingImage(grey, self._target([number]), None, self.geometry, taught=_TAUGHT)
+            return TrainingImage(grey, self._target([number]), None, self.geometry)
         several = int(rng.integers(2, most + 1))
         first = int(rng.integers(count - several + 1))
         members = list(range(first, first + several))
@@ -84,7 +75,7 @@ class Stack:
         weights /= weights.sum(axis=0)
         mean = np.asarray((weights * stack).sum(axis=0), np.float32)
         frames = averaged(1 / np.square(weights).sum(axis=0))
-        return TrainingImage(mean, self._target(members), None, self.geometry, frames, taught=0.0)
+        return TrainingImage(mean, self._target(members), None, self.geometry, frames)
 
     def _target(self, members: Sequence[int]) -> Float32s:
         """The mean of frames around the members, NaN where something moved."""
@@ -116,12 +107,12 @@ def open_stacks(paths: Sequence[str], least_side: int) -> tuple[Stack, ...]:
             alike = find_groups(
                 list(frames[:2]), [sector] * 2, least=2, alike=_ALIKE, furthest_px=1.0
             )
-            is_still = bool(alike) and len(frames) >= _LEAST_FRAMES
-            stacks.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry, is_still))
+            if alike and len(frames) >= _LEAST_FRAMES:
+                stacks.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry))
     if paths and not stacks:
         raise FactoryError(
-            f"data.recordings: no recording there has frames of {least_side} pixels or more with a "
-            "fan that can be found"
+            f"data.recordings: no recording there has {_LEAST_FRAMES} frames of a static scene, of "
+            f"{least_side} pixels or more, with a fan that can be found"
         )
     return tuple(stacks)
 
@@ -166,7 +157,7 @@ class MixedSource(ImageSource):
         data = self.data
         kind = rng.random()
         if kind < data.points_share:
-            return replace(self.points.sample(index, visit), taught=0.0)
+            return self.points.sample(index, visit)
         if kind < data.points_share + data.recordings_share and self.stacks:
             stack = self.stacks[int(rng.integers(len(self.stacks)))]
             sample = resized(stack.sample(rng), rng)
@@ -229,7 +220,6 @@ def standing(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage:
         clean=np.where(unknown, np.nan, target).astype(np.float32),
         shadow=None,
         frames=frames,
-        taught=0.0,
     )
 
 

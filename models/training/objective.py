@@ -16,50 +16,32 @@ def training_loss(
     network: Network,
     batch: Batch,
     loss: Loss,
-    *,
-    teacher: Network | None = None,
     opponent: Opponent | None = None,
 ) -> Tensor:
     """The loss of a batch by whatever the network is trained with."""
     if opponent is None:
-        return taught_loss(network, batch, loss, teacher)
+        return restoration_loss(network, batch, loss)
     assert isinstance(network, AdversarialNetwork)
     denoised = network(batch["noisy"])
-    clean = completed(batch, denoised, None)["clean"]
+    clean = completed(batch, denoised)["clean"]
     return opponent.adversarial_loss(network, batch, clean, denoised, loss)
 
 
-def taught_loss(
-    network: Network, batch: Batch, loss: Loss, teacher: Network | None = None
-) -> Tensor:
-    """The loss of a batch; parts of its targets are what a teacher makes of it.
-
-    What trained weights denoise is the target (Hinton et al. 2015, here for images): what a small
-    network cannot do shows as noise in the gradients when it learns from clean images alone; the
-    images of a larger one are nearer to what it can do.
-    """
+def restoration_loss(network: Network, batch: Batch, loss: Loss) -> Tensor:
+    """The loss of a batch; a network that knows interference along bearings takes it off first."""
     noisy, nodes = network.without_interference(batch["noisy"], known_extras(network, batch))
     batch = {**batch, "noisy": noisy}
     if nodes is not None:
         batch["interference_nodes"] = nodes
     prediction, heads = _predicted(network, batch)
-    batch = completed(batch | heads, prediction, teacher)
+    batch = completed(batch | heads, prediction)
     return loss(prediction, batch["clean"], batch)
 
 
-def completed(batch: Batch, prediction: Tensor, teacher: Network | None) -> Batch:
-    """The batch with a target everywhere: `taught` of it is the teacher's image.
-
-    Where nothing is known (NaN) the target is the prediction, which then costs nothing.
-    """
+def completed(batch: Batch, prediction: Tensor) -> Batch:
+    """The batch with a target everywhere: where none is known (NaN) the prediction, at no cost."""
     clean = batch["clean"]
-    batch = dict(batch)
-    if teacher is not None:
-        with torch.no_grad():
-            image = _predicted(teacher.to(clean.device), batch)[0].to(clean.dtype)
-        mixed = torch.where(clean.isnan(), image, torch.lerp(clean, image, batch["taught"]))
-        clean = torch.where(batch["taught"] > 0, mixed, clean)
-    batch["clean"] = torch.where(clean.isnan(), prediction.detach(), clean)
+    batch = {**batch, "clean": torch.where(clean.isnan(), prediction.detach(), clean)}
     if "shadow_logits" in batch:
         shadow = batch["shadow"]
         predicted = torch.sigmoid(batch["shadow_logits"].detach())

@@ -31,19 +31,17 @@ def recipe_of(settings: ModelsSettings) -> dict[str, Any]:
         for key, value in keys.items()
     }
     # How many processes read, and where the images lie, decides nothing.
-    for key in ("data.workers", "data.pack", "data.folder", "data.geometry", "train.teacher"):
+    for key in ("data.workers", "data.pack", "data.folder", "data.geometry"):
         flat.pop(key, None)
     # Weights count by their content.
-    for key, weights in (("train.teacher", settings.train.teacher), ("start", settings.start)):
-        if weights is not None:
-            flat[key] = sha256_of(find_weights(weights))[:16]
+    if settings.start is not None:
+        flat["start"] = sha256_of(find_weights(settings.start))[:16]
     return {**flat, "seed": settings.seed}
 
 
 def files_learned_from(settings: ModelsSettings, data: Data) -> list[dict[str, Any]]:
-    """The recordings that the weights learn from, and those that they began from or a teacher."""
+    """The recordings that the weights learn from, and those that they began from."""
     entries = described(data.recordings)
-    for weights in (settings.start, settings.train.teacher):
-        if weights is not None:
-            entries += learned_files(find_weights(weights))
+    if settings.start is not None:
+        entries += learned_files(find_weights(settings.start))
     return [entry._asdict() for entry in dict.fromkeys(entries)]

@@ -106,7 +106,7 @@ class Training:
     """A training under way: its network, what it learns from, and what it writes.
 
     recipe: everything that decides the weights.  checkpoint: to go on from.
-    Raises FactoryError for a teacher or a start that does not fit the network.
+    Raises FactoryError for a start that does not fit the network.
     """
 
     def __init__(
@@ -125,7 +125,6 @@ class Training:
         self._learned_from = files_learned_from(settings, data)
         self._loss: Loss = build(Loss, settings.loss, "loss")
         network = begun(settings)
-        self._teacher = _teacher(settings, network)
         self._opponent = None
         if isinstance(network, AdversarialNetwork):
             self._opponent = Opponent(network, settings.train.learning_rate, device)
@@ -136,10 +135,7 @@ class Training:
             self._loop.restore(checkpoint)
             if self._opponent is not None:
                 self._opponent.load_state_dict(checkpoint["opponent"])
-        extras = network.extras
-        if self._teacher is not None:
-            extras = tuple(dict.fromkeys((*extras, *self._teacher.extras)))
-        self._reader = BatchReader(settings, device, data, extras)
+        self._reader = BatchReader(settings, device, data, network.extras)
 
     def run(self) -> list[Row]:
         """Go on to the last step; returns the rows of all checks.
@@ -160,13 +156,7 @@ class Training:
         return self._loop.rows
 
     def _objective(self, network: Network, batch: Batch) -> Tensor:
-        return training_loss(
-            network,
-            batch,
-            self._loss,
-            teacher=self._teacher,
-            opponent=self._opponent,
-        )
+        return training_loss(network, batch, self._loss, self._opponent)
 
     def _save(self) -> None:
         """Keep the cost and a checkpoint."""
@@ -188,17 +178,6 @@ class Training:
         _write_metrics(self._out / "metrics.csv", rows)
         loop.bar.set_postfix(f"loss {loss:.4f}, psnr {row['psnr']:.2f} ({row['gain_db']:+.2f} dB)")
         return row
-
-
-def _teacher(settings: ModelsSettings, network: Network) -> Network | None:
-    if settings.train.teacher is None:
-        return None
-    if isinstance(network, AdversarialNetwork):
-        raise FactoryError(
-            f"train.teacher={settings.train.teacher}: a network with a critic does not learn "
-            "from a teacher; leave it out"
-        )
-    return load_weights(find_weights(settings.train.teacher)).network.requires_grad_(False)
 
 
 def _write_metrics(path: Path, rows: Sequence[Row]) -> None:

@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from simnfnd.factory.common.errors import FactoryError
 from simnfnd.models.networks.rivals.sid_tgan import hinge
 from simnfnd.models.training.adversarial import Opponent
 from simnfnd.models.training.loop import TrainingLoop
@@ -71,9 +70,3 @@ def test_a_critic_learns_in_turns_and_an_interrupted_training_ends_alike(
     train(*config_for(dataset, tmp_path / "cut", *words_of("sid_tgan")))
     files = [tmp_path / folder / "weights.safetensors" for folder in ("whole", "cut")]
     assert files[0].read_bytes() == files[1].read_bytes()
-
-
-def test_a_critic_and_a_teacher_exclude_each_other(dataset: Path, tmp_path: Path) -> None:
-    words = [*words_of("sid_tgan"), "train.teacher=simnfnd"]
-    with pytest.raises(FactoryError, match=r"train\.teacher=simnfnd: .*critic"):
-        train(*config_for(dataset, tmp_path, *words))
