@@ -22,6 +22,9 @@ _ZONES = 8  # of the ranges in which fluctuation is compared
 _LAGS = (2, 6, 16, 40)  # distances of bearings whose fluctuation is compared, cells
 _TREND_ROWS = 9  # a mean over so many ranges is no fluctuation
 _BRIGHTEST = 20.0  # of the image's mean
+_DOUBTFUL = 0.15
+_SURE = 0.35
+"""Amounts, of the image's mean, up to which none is taken off, and from which all is."""
 _FLOOR = 0.02  # grey value added to the mean of an image
 _WIDTHS = (48, 64, 96, 96, 96)
 _CHANNELS = 6 * SEGMENTS + 2 * _ZONES * len(_LAGS) + 2
@@ -71,7 +74,12 @@ class BearingHead(nn.Module):
         held = functional.interpolate(
             means[:, None], (NODES, BEARINGS), mode="bilinear", align_corners=True
         )[:, 0]
-        nodes: Tensor = (part * held + amount) * level
+        relative_nodes = part * held + amount
+        if not self.training:
+            # An image without interference must not change: what is doubtful stays.
+            sure = (relative_nodes - _DOUBTFUL) / (_SURE - _DOUBTFUL)
+            relative_nodes = relative_nodes * sure.clamp(0, 1)
+        nodes: Tensor = relative_nodes * level
         return nodes
 
 
