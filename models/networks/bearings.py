@@ -22,8 +22,8 @@ _ZONES = 8  # of the ranges in which fluctuation is compared
 _LAGS = (2, 6, 16, 40)  # distances of bearings whose fluctuation is compared, cells
 _TREND_ROWS = 9  # a mean over so many ranges is no fluctuation
 _BRIGHTEST = 20.0  # of the image's mean
-_DOUBTFUL = 0.15
-_SURE = 0.35
+_DOUBTFUL = 0.12
+_SURE = 0.25
 """Amounts, of the image's mean, up to which none is taken off, and from which all is."""
 _FLOOR = 0.02  # grey value added to the mean of an image
 _WIDTHS = (48, 64, 96, 96, 96)
