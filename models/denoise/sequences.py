@@ -11,12 +11,11 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import islice
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
 from ...factory.common.workers import tell
-from ...factory.common.workers.tasks import TaskLost, TaskPool
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..recordings import Recording, SonarFrame, open_recording
 from ..recordings.device_settings import RecordedSettings, settings_in_name, settings_of
@@ -27,6 +26,9 @@ from .denoiser import Denoiser
 from .images import Denoised, Denoising, FrameShots, LevelRange, OutOfRange
 from .records import FrameRecord
 from .temporal.stream import MARGIN_AFTER, MARGIN_BEFORE
+
+if TYPE_CHECKING:
+    from ...factory.common.workers.tasks import TaskPool
 
 _SILENCE_S = 600.0  # a worker that finishes no frame for so long is ended
 _MOST_BLOCKS = 4
@@ -265,6 +267,8 @@ class BlockwiseSequence:
 
     def frames(self, recorded: Iterable[SonarFrame], count: int) -> Iterator[FinishedFrame]:
         """All frames of the source, `recorded`, in order.  count: as far as the file knows."""
+        from ...factory.common.workers.tasks import TaskPool  # loads psutil
+
         with TaskPool(self._workers) as pool:
             done = self._denoise_in(pool, count) if self._workers > 1 else iter(())
             block = Block([], [])
@@ -284,6 +288,8 @@ class BlockwiseSequence:
 
     def _denoise_in(self, pool: TaskPool, count: int) -> Iterator[object]:
         """Denoise all missing blocks in worker processes; something for each task that is done."""
+        from ...factory.common.workers.tasks import TaskLost
+
         firsts = range(0, count, BLOCK_FRAMES)
         missing = [first for first in firsts if self._store.read(first) is None]
         blocks = min(max(len(missing) // (2 * self._workers), 1), _MOST_BLOCKS)

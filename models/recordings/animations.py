@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, WebPImagePlugin
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FrameError
@@ -22,7 +22,8 @@ from .base import (
     untinted,
 )
 
-_FORMATS = ("GIF", "WEBP", "PNG")
+# Pillow loads all of its plugins for a format whose plugin is not there yet.
+_FORMATS = ("GIF", WebPImagePlugin.WebPImageFile.format, "PNG")
 USUAL_DURATION_S = 0.1  # where a file states none, as browsers do
 
 

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-import tifffile
 from PIL import Image
 
 from ...factory.common.array_types import Array
@@ -36,6 +35,9 @@ from .base import (
     untinted,
 )
 from .orientation import orientation_of_exif
+
+if TYPE_CHECKING:
+    import tifffile
 
 TIFF_HEADS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 DESCRIPTION = 270
@@ -224,6 +226,8 @@ def _opened(file: IO[bytes], name: str) -> Iterator[tifffile.TiffFile]:
     with explained(f"{name}: not a readable TIFF; it is damaged or cut short", passing=FrameError):
         file.seek(0)
         # Without the files that its text names.
+        import tifffile  # half a unit of the time that a short command takes
+
         yield tifffile.TiffFile(file, name=name, _multifile=False)
 
 
