@@ -1,6 +1,5 @@
-"""Trains and runs a small detector of objects in sonar images.
+"""Finds objects in sonar images with a small network, counts what moves, and trains the network.
 
-It exists to judge labels: what a detector that learned from one set of images finds in another.
 Boxes are float32 arrays (N, 4) of left, top, right, bottom in pixels, right and bottom exclusive.
 """
 
@@ -11,7 +10,7 @@ from pathlib import Path
 from ...factory.common.errors import FactoryError
 
 SHIPPED_NAME = "simnfnd"
-"""What `detector=` says for the detector that ships."""
+"""Name of the detector that ships."""
 
 _SHIPPED = Path(__file__).parent / "simnfnd-detector.safetensors"
 

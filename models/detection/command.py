@@ -218,7 +218,9 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     inputs_help = "image, folder, dataset, video, recording, bag or array to look into"
     add("inputs", nargs="+", metavar="IN", help=inputs_help)
     add("--out", required=True, metavar="DIR", help="folder for the results")
-    detector_help = f"a detector.safetensors of `simnfnd train`, or {SHIPPED_NAME} (default)"
+    detector_help = (
+        f"a detector.safetensors of `simnfnd evaluate transfer`, or {SHIPPED_NAME} (default)"
+    )
     add("--detector", default=SHIPPED_NAME, metavar="FILE", help=detector_help)
     threshold_help = f"least probability of an object, 0 to 1 (default: {THRESHOLD:g})"
     add("--threshold", type=float, default=THRESHOLD, metavar="PART", help=threshold_help)

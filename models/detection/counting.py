@@ -54,12 +54,12 @@ def counts_of(rows: Sequence[TrackRow]) -> Counter[str]:
 
 
 def way_direction(way: Float64s) -> str:
-    """Left, right, towards or away, by the first and last places of a way.
+    """Left, right, towards or away, by the line that fits a way best.
 
     way: (N, 2) ahead of the sonar and to its right.
     """
-    count = max(1, len(way) // 4)
-    ahead, right = way[-count:].mean(axis=0) - way[:count].mean(axis=0)
+    step = np.arange(len(way)) - (len(way) - 1) / 2
+    ahead, right = step @ way
     if abs(right) >= abs(ahead):
         return "right" if right > 0 else "left"
     return "away" if ahead > 0 else "towards"

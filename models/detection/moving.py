@@ -18,7 +18,7 @@ _BLUR_PX = 1.5
 SEED = 6.0  # deviation, in standard deviations of the grain, that begins an echo
 _EDGE = 3.0  # and that to which it reaches
 _BODY = 0.35  # part of its peak that belongs to an echo; sidelobes are fainter
-_SPLIT = 3.0  # times by which both parts exceed the gap between two echoes
+_SPLIT = 5.0  # times by which both parts exceed the gap between two echoes
 _LEAST_PX = 6  # pixels of an echo
 
 

@@ -12,18 +12,18 @@ from ...factory.common.array_types import Float64s
 from .frames import FrameFacts
 from .moving import Deviation, Echo, echoes_in
 
-_GATE_PX = 10.0  # from where an echo is expected, of frames `_GATE_HEIGHT_PX` high
+_GATE_PX = 12.0  # from where an echo is expected, of frames `_GATE_HEIGHT_PX` high
 _GATE_HEIGHT_PX = 600
 _GATE_GROWTH = 0.5  # of the gate for each frame without an echo
 _LONGEST_GAP = 6  # frames without an echo within a track
 _JOIN_GAP = 25  # frames between the ends of broken tracks
 _JOIN_OVERLAP = 12  # frames that two parts of one track share, where a body broke in two
-_JOIN_GATES = 2.5  # gates between where a track would be and where another one begins
+_JOIN_GATES = 3.5  # gates between where a track would be and where another one begins
 _FEWEST_TO_JOIN = 3  # echoes of a part that is joined to another one
-_KEEP = 0.7  # of the velocity before, at each echo
-_FEWEST = 10  # echoes of a track that counts
+_KEEP = 0.85  # of the velocity before, at each echo
+_FEWEST = 12  # echoes of a track that counts
 _LEAST_MOVE = 1.0  # net way of a track that counts, in lengths of its echo
-_LEAST_SCORE = 8.0  # median peak of a track that counts, in standard deviations of the grain
+_LEAST_SCORE = 7.0  # median peak of a track that counts, in standard deviations of the grain
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,11 @@ def calibrate_file(path: Path, calibration: Calibration) -> None:
 
 
 def _header_of(facts: DetectorFacts) -> dict[str, str]:
-    header = {"format": FORMAT, "classes": list(facts.classes), "training": dict(facts.training)}
+    header: dict[str, Any] = {
+        "format": FORMAT,
+        "classes": list(facts.classes),
+        "training": dict(facts.training),
+    }
     if facts.calibration is not None:
         header["calibration"] = [facts.calibration.slope, facts.calibration.offset]
     return {_KEY: json.dumps(header, sort_keys=True)}
@@ -127,9 +131,9 @@ def read_detector(path: Path) -> tuple[DetectorFacts, dict[str, Array]]:
             tensors = {name: file.get_tensor(name).astype(np.float32) for name in names}
         head_shape = tensors["heads.weight"].shape
     except (SafetensorError, OSError, TypeError, ValueError, KeyError) as error:
-        raise FactoryError(f"{problem}; give one that `simnfnd train` wrote") from error
+        raise FactoryError(f"{problem}; give one that `simnfnd evaluate transfer` wrote") from error
     if head_shape[:1] != (5 + len(facts.classes),):
-        raise FactoryError(f"{problem}; give one that `simnfnd train` wrote")
+        raise FactoryError(f"{problem}; give one that `simnfnd evaluate transfer` wrote")
     if not all(np.isfinite(tensor).all() for tensor in tensors.values()):
         raise FactoryError(f"{problem}: it holds NaN or infinity; train again")
     return facts, tensors
