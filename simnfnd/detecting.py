@@ -36,8 +36,8 @@ def detect(
 
     image: (H, W) or (H, W, C) uint8, uint16 or float in 0..1, far range on top, or turned as its
         geometry says; or a frame of `open_recording`, whose `image` is looked at.
-    detector: a detector.safetensors of `simnfnd evaluate transfer`, or the name of the one that ships.  It
-        stays loaded for the next call.
+    detector: a detector.safetensors of `simnfnd evaluate transfer`, or the name of the one that
+        ships.  It stays loaded for the next call.
     threshold: least probability of an object, 0 to 1.  classes: those to find; none: all.
     geometry, opening_deg: as `denoise` takes them.  Ranges and sizes need one with metres.
 
