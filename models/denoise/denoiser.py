@@ -22,7 +22,7 @@ from ...factory.common.errors import FactoryError
 from ...factory.common.files import sha256_of
 from ...factory.dataset.fan_geometry import FanGeometry
 from ..networks import averaged
-from ..networks.bearing_view import bearing_view, interference_at, sector_of
+from ..networks.bearing_view import bearing_view, remaining_share, sector_of, share_at
 from ..pretrained import find_weights
 from ..recordings.views import presentation_of
 from .grain_width import grain_correlation
@@ -126,14 +126,16 @@ class Denoiser:
         return presentation.undone(denoised)
 
     def _without_interference(self, grey: Float32s, geometry: FanGeometry, maps: Maps) -> Float32s:
-        """The image less the interference along whole bearings, below 0 too."""
+        """The image without the interference along whole bearings."""
         sector = sector_of(geometry)
         width_rad = sector.right_rad - sector.left_rad
-        nodes = np.maximum(self.runtime.interference(bearing_view(grey, geometry), width_rad), 0)
+        view = bearing_view(grey, geometry)
+        nodes = self.runtime.interference(view, width_rad)
         if nodes.max() < _LEAST_INTERFERENCE:
             return grey
-        amount = interference_at(nodes, sector, maps["range_fraction"], maps["azimuth_rad"])
-        return np.asarray(grey - amount * (maps["sector"] > 0), np.float32)
+        shares = remaining_share(nodes, view)
+        share = share_at(shares, sector, maps["range_fraction"], maps["azimuth_rad"])
+        return np.where(maps["sector"] > 0, share * grey, grey)
 
     def _maps_of(self, geometry: FanGeometry, height: int, width: int) -> Maps:
         """The maps of a geometry, the same arrays for every frame of a recording."""

@@ -16,6 +16,9 @@ SEGMENTS = 16
 """Parts of the ranges."""
 NODES = 5
 """Ranges at which the head states how much interference there is, from the nearest to the last."""
+LEAST_SHARE = 0.05
+"""Of an image that remains along a bearing."""
+_DARKEST = 0.25
 
 
 class Sector(NamedTuple):
@@ -61,14 +64,34 @@ def segment_means(view: Float32s) -> Float32s:
     return np.asarray(values / np.maximum(known, 1), np.float32)
 
 
-def interference_at(
-    nodes: Float32s, sector: Sector, range_fraction: Float32s, azimuth_rad: Float32s
+def remaining_share(nodes: Float32s, view: Float32s) -> Float32s:
+    """(SEGMENTS, BEARINGS) factors on an image that take off what the head states, 0 to 1.
+
+    nodes: (NODES, BEARINGS).  Echoes and interference fade together, so no streak of its speckle is
+    left, as a difference would leave it.  No bearing becomes darker than a quarter of those without
+    interference are at that range.
+    """
+    ranges = (np.arange(SEGMENTS) + 0.5) / SEGMENTS * (NODES - 1)
+    before = np.minimum(ranges.astype(int), NODES - 2)
+    part = (ranges - before).astype(np.float32)[:, None]
+    amount = nodes[before] * (1 - part) + nodes[before + 1] * part
+    held = np.maximum(segment_means(view), 1e-3)
+    shares = np.clip(1 - np.maximum(amount, 0) / held, LEAST_SHARE, 1)
+    undisturbed = nodes.max(axis=0) <= 0
+    if undisturbed.any():
+        darkest = np.quantile(held[:, undisturbed], _DARKEST, axis=1)[:, None]
+        shares = np.maximum(shares, np.minimum(darkest / held, 1))
+    return np.asarray(shares, np.float32)
+
+
+def share_at(
+    shares: Float32s, sector: Sector, range_fraction: Float32s, azimuth_rad: Float32s
 ) -> Float32s:
-    """(H, W) of what the head states, (NODES, BEARINGS), at the pixels of an image."""
-    down = (range_fraction - sector.near) / (sector.far - sector.near) * (NODES - 1)
+    """(H, W) of `remaining_share` at the pixels of an image."""
+    down = (range_fraction - sector.near) / (sector.far - sector.near) * SEGMENTS - 0.5
     span_rad = sector.right_rad - sector.left_rad
     across = (azimuth_rad - sector.left_rad) / span_rad * BEARINGS - 0.5
     positions = across.astype(np.float32), down.astype(np.float32)
     return np.asarray(
-        cv2.remap(nodes, *positions, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        cv2.remap(shares, *positions, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     )

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .bearing_view import BEARINGS, NODES, RANGES, SEGMENTS
+from .bearing_view import BEARINGS, LEAST_SHARE, NODES, RANGES, SEGMENTS
 from .blocks import zeroed
 from .network import down_and_up
 
@@ -136,19 +136,33 @@ def _parts(plane: Tensor, count: int) -> Tensor:
     return plane.reshape(-1, count, RANGES // count, BEARINGS)
 
 
-def at_pixels(nodes: Tensor, sector: Tensor, range_fraction: Tensor, azimuth_rad: Tensor) -> Tensor:
-    """(N, 1, H, W) of what the head states, at pixels with these maps.
+def at_segments(nodes: Tensor) -> Tensor:
+    """What the head states, at the middle of each segment of range, (N, SEGMENTS, BEARINGS)."""
+    size = 2 * SEGMENTS + 1, BEARINGS
+    stated = functional.interpolate(nodes[:, None], size, mode="bilinear", align_corners=True)
+    return stated[:, 0, 1::2]
 
-    sector: (N, 4), as of `bearing_view.Sector`.  See `bearing_view.interference_at`.
+
+def remaining_share(nodes: Tensor, view: Tensor) -> Tensor:
+    """(N, SEGMENTS, BEARINGS); see `bearing_view.remaining_share`."""
+    held = _means(view[:, 0], view[:, 1]).clamp_min(1e-3)
+    return (1 - at_segments(nodes).clamp_min(0) / held).clamp(LEAST_SHARE, 1)
+
+
+def at_pixels(
+    shares: Tensor, sector: Tensor, range_fraction: Tensor, azimuth_rad: Tensor
+) -> Tensor:
+    """(N, 1, H, W) of `remaining_share` at pixels with these maps.
+
+    sector: (N, 4), as of `bearing_view.Sector`.
     """
     near, far, left, right = (sector[:, n, None, None, None] for n in range(4))
-    # Nodes lie on the limits of range; `grid_sample` has them half a step inside.
-    down = (2 * (range_fraction - near) / (far - near) - 1) * (NODES - 1) / NODES
+    down = 2 * (range_fraction - near) / (far - near) - 1
     across = 2 * (azimuth_rad - left) / (right - left) - 1
     places = torch.cat([across, down], dim=1).permute(0, 2, 3, 1)
-    with torch.autocast(nodes.device.type, enabled=False):
+    with torch.autocast(shares.device.type, enabled=False):
         return functional.grid_sample(
-            nodes.float()[:, None], places.float(), padding_mode="border", align_corners=False
+            shares.float()[:, None], places.float(), padding_mode="border", align_corners=False
         )
 
 
@@ -157,10 +171,6 @@ def interference_loss(nodes: Tensor, truth: Tensor) -> Tensor:
 
     nodes: as of `BearingHead`.  truth: (N, SEGMENTS, BEARINGS), as of `bearing_view.segment_means`.
     """
-    # Linear interpolation between the nodes at the middle of each segment.
-    stated = functional.interpolate(
-        nodes[:, None], (2 * SEGMENTS + 1, BEARINGS), mode="bilinear", align_corners=True
-    )[:, 0, 1::2]
-    error = stated - truth
+    error = at_segments(nodes) - truth
     deviation = (error.square().mean(dim=(1, 2)) + 1e-8).sqrt().mean()
     return deviation + error.abs().mean()

@@ -34,7 +34,7 @@ from torch.nn import functional
 from ...factory.common.settings import STRICT
 from ...factory.simulation.imaging.artefacts import ARTEFACTS
 from . import DEFAULT, GEOMETRY, vector
-from .bearings import BearingHead, at_pixels
+from .bearings import BearingHead, at_pixels, remaining_share
 from .blend_head import BlendHead
 from .blocks import residual_blocks, zeroed
 from .folded import (
@@ -162,10 +162,10 @@ class SonarNet(Network):
         crops = limits.shape[0] // views.shape[0]
         width_rad = (limits[::crops, 3:] - limits[::crops, 2:3]).abs()
         nodes = self.bearings(views, width_rad)
-        maps = extras["range_fraction"], extras["azimuth_rad"]
-        amount = at_pixels(nodes.clamp_min(0).repeat_interleave(crops, dim=0), limits, *maps)
+        shares = remaining_share(nodes, views).repeat_interleave(crops, dim=0)
+        share = at_pixels(shares, limits, extras["range_fraction"], extras["azimuth_rad"])
         sector = extras.get("sector", torch.ones_like(noisy))
-        return noisy - amount * (sector > 0), nodes
+        return torch.where(sector > 0, share * noisy, noisy), nodes
 
     def with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """See `models.networks`; for any H and W.

@@ -9,7 +9,7 @@ from simnfnd.models.data.crops import whole_bearings
 from simnfnd.models.data.pairs import TrainingImage
 from simnfnd.models.data.radial import with_radial
 from simnfnd.models.data.water import with_water
-from simnfnd.models.networks.bearing_view import NODES, bearing_view, interference_at, sector_of
+from simnfnd.models.networks.bearing_view import SEGMENTS, bearing_view, sector_of, share_at
 
 SHAPE = 200, 240
 FAN = FanGeometry.fan(np.pi / 3, apex_x_px=120, apex_y_px=199, near_px=30, far_px=190)
@@ -65,8 +65,8 @@ def test_what_a_view_states_returns_to_its_pixels() -> None:
     maps = FAN.maps(0, 0, *SHAPE)
     view = bearing_view(maps["azimuth_rad"], FAN)
     assert view[1].all()
-    nodes = np.repeat(view[:1, 255], NODES, axis=0)
-    bearings = interference_at(nodes, sector_of(FAN), maps["range_fraction"], maps["azimuth_rad"])
+    values = np.repeat(view[:1, 255], SEGMENTS, axis=0)
+    bearings = share_at(values, sector_of(FAN), maps["range_fraction"], maps["azimuth_rad"])
     inside = (maps["sector"] > 0) & (np.abs(maps["azimuth_rad"]) < 0.5)
     assert np.abs(bearings - maps["azimuth_rad"])[inside].max() < 0.01
 
