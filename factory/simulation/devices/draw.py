@@ -23,6 +23,7 @@ from ..imaging.settings import (
     Formation,
     PointwiseSettings,
     ResampleSettings,
+    is_coherent,
 )
 from ..noise.registry import EFFECTS, NoiseSettings, blocks, with_blocks
 from ..sonar.array import WaterSettings
@@ -138,7 +139,7 @@ def configured(config: Config, device: DrawnDevice, *, any_size: bool) -> Config
     )
     acoustics = _acoustics(config.acoustics, device)
     noise = _of_formation(config.noise, device)
-    is_static = isinstance(acoustics, CoherentSettings) and acoustics.standing > 0
+    is_static = is_coherent(acoustics) and acoustics.standing > 0
     if not is_static and noise.scintillation is not None:
         # Scintillation beside speckle that is new in every ping cannot be told from it.
         noise = replace(noise, scintillation=replace(noise.scintillation, enabled=False))
@@ -195,7 +196,7 @@ def _acoustics(acoustics: AcousticsSettings, device: DrawnDevice) -> AcousticsSe
     """The image formation of the device."""
     if device.formation == "pointwise":
         return PointwiseSettings()
-    assert isinstance(acoustics, CoherentSettings)  # the configuration refuses others
+    assert is_coherent(acoustics)  # the configuration refuses others
     drawn = device.values
     changed: dict[str, Any] = {
         name: drawn[name] for name in ("tvg_log", "lambert_exponent", "standing") if name in drawn

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Iterable
 from dataclasses import field, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeGuard
 
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
@@ -83,6 +83,12 @@ AcousticsSettings = Annotated[
     PointwiseSettings | CoherentSettings, Field(discriminator="formation")
 ]
 """The image formation, each with the settings that it uses."""
+
+
+def is_coherent(acoustics: PointwiseSettings | CoherentSettings) -> TypeGuard[CoherentSettings]:
+    """Whether images are formed by a complex field, whose beams are cones."""
+    return isinstance(acoustics, CoherentSettings)
+
 
 Formation = Literal["pointwise", "coherent"]
 SETTINGS_OF: dict[Formation, type[PointwiseSettings] | type[CoherentSettings]] = {

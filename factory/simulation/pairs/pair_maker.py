@@ -30,7 +30,7 @@ from ..frames.frame import Frame
 from ..imaging import layers as truth
 from ..imaging.coherent import CoherentSample, CoherentScene
 from ..imaging.pointwise import PointwiseScene
-from ..imaging.settings import CoherentSettings, with_materials
+from ..imaging.settings import CoherentSettings, is_coherent, with_materials
 from ..labels.camera_layers import Camera, CameraLayers
 from ..labels.image_axes import image_axes
 from ..labels.insonified import check_share, insonified_share
@@ -199,7 +199,7 @@ def frames_worth_keeping(frames: int) -> int:
 def pair_maker(config: FactoryConfig, *, kept_frames: int = 0) -> PairMaker:
     """Open the pair maker of a configuration with the renders it refers to.  See `PairMaker`."""
     moves = "seabed" if config.scenes.is_continuous else ""
-    compile_needed(scenes=moves, field=config.acoustics.formation == "coherent")
+    compile_needed(scenes=moves, field=is_coherent(config.acoustics))
     return PairMaker(config, open_views(config), kept_frames=kept_frames)
 
 
@@ -225,7 +225,7 @@ def observe_moment(
     sonar = config.sonar
     if window is None:
         window = fitted_window(moment.frame, moment.rendered, config)
-    if _has_conical_beams(config):
+    if is_coherent(config.acoustics):
         window = conical(window, sonar)
     lit, scene, later_groups = _observe_scene(moment, window, config)
     share = insonified_share(scene.filled, window, sonar)
@@ -260,7 +260,7 @@ def _observe_later_groups(
 ) -> tuple[Scene, ...]:
     """The scene of each group of beams after the first; none where all beams ping at once."""
     groups = config.sonar.array.beam_groups
-    if groups == 1 or not _has_conical_beams(config):
+    if groups == 1 or not is_coherent(config.acoustics):
         return ()
     wait_s = 2 * window.range_max_m / config.water.sound_speed_m_s()
     scenes: list[Scene] = []
@@ -283,18 +283,14 @@ def _by_beam_group(images: Sequence[npt.NDArray[ImageType]]) -> npt.NDArray[Imag
     return merged
 
 
-def _has_conical_beams(config: FactoryConfig) -> bool:
-    return config.acoustics.formation == "coherent"
-
-
 def _lit_surface(
     frame: Frame, rendered: Rendered, window: Window, config: FactoryConfig
 ) -> surface.LitSurface:
     acoustics = config.acoustics
     class_echoes: tuple[float, ...] = ()
-    if isinstance(acoustics, CoherentSettings):
+    if is_coherent(acoustics):
         class_echoes = tuple(coefficient for coefficient, _ in acoustics.of_classes())
-    conical = _has_conical_beams(config)
+    conical = is_coherent(config.acoustics)
     return surface.LitSurface(frame, rendered, window, config.sonar, conical, class_echoes)
 
 
@@ -326,8 +322,9 @@ def _class_echoes(config: FactoryConfig) -> list[Echo]:
 
     Pointwise images know no materials but the user's own.
     """
-    acoustics = config.acoustics
-    if not isinstance(acoustics, CoherentSettings):
+    if is_coherent(config.acoustics):
+        acoustics = config.acoustics
+    else:
         classes = class_names(config.scenes.own_classes())
         acoustics = with_materials(CoherentSettings(), classes, config.scenes.own())
     return [Echo(coefficient, exponent) for coefficient, exponent in acoustics.of_classes()]
@@ -336,7 +333,7 @@ def _class_echoes(config: FactoryConfig) -> list[Echo]:
 def _scene_of(lit: surface.LitSurface, config: FactoryConfig, static: Scene | None = None) -> Scene:
     """The echoes of a surface.  static: the same scene without moving objects; None: none move."""
     acoustics = config.acoustics
-    if isinstance(acoustics, CoherentSettings):
+    if is_coherent(acoustics):
         assert static is None or isinstance(static, CoherentScene)
         return CoherentScene(lit, config.water, acoustics, static)
     assert static is None or isinstance(static, PointwiseScene)
@@ -535,7 +532,7 @@ class ObservedSample:
             np.asarray(self.layers["instance"], np.uint16),
             self._layout.inside(),
             self._config.sonar.transfer,
-            "amplitude" if _has_conical_beams(self._config) else "intensity",
+            "amplitude" if is_coherent(self._config.acoustics) else "intensity",
         )
 
 

@@ -16,7 +16,7 @@ from ...common.array_types import Float64s
 from ...dataset.meaning import class_names
 from ...dataset.schema import Column
 from ..frames.frame import Frame
-from ..imaging.settings import CoherentSettings
+from ..imaging.settings import is_coherent
 from ..labels.boxes_column import BOXES, boxes_row
 from ..labels.visibility import VISIBILITY
 from ..moving.tracks import TRACKS, tracks_row
@@ -134,7 +134,7 @@ def _calibration_row(config: FactoryConfig) -> Row:
     sonar = config.sonar
     water = config.water
     acoustics = config.acoustics
-    assert isinstance(acoustics, CoherentSettings)  # the configuration refuses others
+    assert is_coherent(acoustics)  # the configuration refuses others
     absorption = water.absorption_db_per_m(sonar.frequency_khz)
     return _row(
         _CALIBRATION,

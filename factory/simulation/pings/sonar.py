@@ -20,6 +20,7 @@ from ..config.needs import needs_of
 from ..config.renderer_choice import renderer_of
 from ..config.root import plain
 from ..frames.frame import Frame
+from ..imaging.settings import is_coherent
 from ..moving.recordings import MovingRecordings
 from ..pairs.compilation import compile_needed
 from ..pairs.pair_maker import ObservedFrame, ObservedSample, observe_moment
@@ -88,7 +89,7 @@ class Sonar:
         if config.devices is not None:
             raise FactoryError("devices: a sonar is one device; leave devices out")
         require(needs_of(config))
-        compile_needed(scenes=scene, field=config.acoustics.formation == "coherent")
+        compile_needed(scenes=scene, field=is_coherent(config.acoustics))
         self._reader = open_reader(config.scenes)
         self._ref = self._reader.discover().frames[0]
         self._renderer = open_renderer(renderer_of(config).settings)

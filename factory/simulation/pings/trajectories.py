@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...common.errors import FactoryError
 from ..meshes.camera import MOVEMENT, movements
@@ -52,7 +52,8 @@ def _movements(path: Path, rate_hz: float) -> Iterator[TimedPose]:
     start_s = lines[0].get("time_s", 0.0)
     for number, line in enumerate(lines):
         time_s = line.get("time_s", start_s + number / rate_hz)
-        yield TimedPose(time_s - start_s, Pose(*(line.get(name, 0.0) for name in MOVEMENT)))
+        moves: dict[str, Any] = {name: line[name] for name in MOVEMENT if name in line}
+        yield TimedPose(time_s - start_s, Pose(**moves))
 
 
 def _recorded(path: Path, rate_hz: float) -> Iterator[TimedPose]:
