@@ -30,6 +30,9 @@ _WIDE_SIDE_PX = 7  # side of the wide window
 _MAX_DEVIATION = 3.0  # in the wide window: an object nearby must not fill it
 _AGREEMENT_LIMIT = 3.3
 """Standard deviations up to which a frame agrees with the median, and a neighbour with a frame."""
+_OWN_LIMIT = 2.4
+"""The same for the frame itself: the median of many frames has little noise, and a faint object
+that is missed is lost in their mean."""
 _GATE_START = 2.2
 _GATE_END = 4.2
 """Significance of a path from which on it counts, and from which on it counts in full."""
@@ -125,7 +128,7 @@ def fuse(frame: Array, neighbours: Sequence[Neighbour]) -> FusedFrame:
 
     # Of the neighbours, then of the frame itself.
     planes = [*small.neighbours, small.frame]
-    with_median = _Agreement(planes, small.median, measured, scene_greys)
+    with_median = _Agreement(planes, small.median, measured, scene_greys, _OWN_LIMIT)
     with_frame = _Agreement(small.neighbours, small.frame, measured, scene_greys)
     agrees_with_median = with_median.planes[:-1]
     static = with_median.planes[-1]
@@ -247,11 +250,12 @@ class _Agreement:
         grey: Array,
         measured: Sequence[int],
         scene_greys: Sequence[Array],
+        last_limit: float = _AGREEMENT_LIMIT,
     ) -> None:
         """planes: (h, w) each, that are compared with the plane `grey`.
 
         measured: indices of those that noise is measured on.  scene_greys: (h, w) grey values of
-        the scene there; a pixel of 0 is left out.
+        the scene there; a pixel of 0 is left out.  last_limit: of the last plane.
         """
         from . import kernels  # loads numba
 
@@ -262,9 +266,10 @@ class _Agreement:
         wide = [cv2.blur(clipped, (_WIDE_SIDE_PX, _WIDE_SIDE_PX)) for _, clipped in both]
         wide_noise = noise_by_level([wide[index] for index in measured], scene_greys)
         wide_sigma = at_level(grey, wide_noise)
+        limits = [_AGREEMENT_LIMIT] * (len(planes) - 1) + [last_limit]
         exponents = [
-            kernels.excess_exponent(deviation, wide_mean, wide_sigma, np.float32(_AGREEMENT_LIMIT))
-            for (deviation, _), wide_mean in zip(both, wide, strict=True)
+            kernels.excess_exponent(deviation, wide_mean, wide_sigma, np.float32(limit))
+            for (deviation, _), wide_mean, limit in zip(both, wide, limits, strict=True)
         ]
         self.planes = [cv2.exp(exponent) for exponent in exponents]
         self.deviation: Array = both[-1][0]
