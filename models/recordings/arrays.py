@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import IO, Any
-from zipfile import ZipFile
 
 import numpy as np
 
@@ -256,6 +255,8 @@ def _list_npy(path: Path) -> _Listed:
 
 def _list_npz(path: Path) -> list[_Listed]:
     listed = []
+    from zipfile import ZipFile
+
     with ZipFile(path) as archive:
         for name in archive.namelist():
             if name.endswith(ARRAY_SUFFIX):
