@@ -68,7 +68,7 @@ def read_rows(path: Path) -> list[FrameRow]:
     """The rows that `write_rows` kept.  Raises FrameError when the file is damaged."""
     try:
         return [
-            FrameRow(*values, [DetectedObject(*item) for item in objects])
+            FrameRow._make([*values, [DetectedObject._make(item) for item in objects]])
             for *values, objects in json.loads(path.read_text(encoding="utf-8"))
         ]
     except (OSError, ValueError, TypeError) as error:

@@ -115,7 +115,8 @@ def _split(values: Float32s, level: float, left: int, top: int) -> Iterator[Echo
             yield from parts
         else:
             inside = own > max(level, _BODY * peak)
-            yield _echo(own * inside, inside, left + column, top + row)
+            values_inside = np.where(inside, own, np.float32(0)).astype(np.float32)
+            yield _echo(values_inside, inside, left + column, top + row)
 
 
 def _echo(values: Float32s, inside: Bools, left: int, top: int) -> Echo:
@@ -126,7 +127,8 @@ def _echo(values: Float32s, inside: Bools, left: int, top: int) -> Echo:
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     along, across = (np.ptp((points - middle) @ axis) + 1 for axis in axes)
     return Echo(
-        *middle.tolist(),
+        float(middle[0]),
+        float(middle[1]),
         (
             int(columns.min()) + left,
             int(rows.min()) + top,

@@ -137,6 +137,16 @@ def _named(
             size_m = scale_m * max((right - left) / geometry.x_scale, bottom - top)
         bearing_deg = place.bearing_deg if math.isfinite(place.bearing_deg) else None
         objects.append(
-            DetectedObject(names[label], score, *box, place.slant_range_m, bearing_deg, size_m)
+            DetectedObject(
+                names[label],
+                score,
+                left,
+                top,
+                right,
+                bottom,
+                place.slant_range_m,
+                bearing_deg,
+                size_m,
+            )
         )
     return objects

@@ -33,8 +33,8 @@ def swimming(gap: range = range(0)) -> list[np.ndarray]:
     for number in range(FRAMES):
         image = background + rng.normal(0, 4, (HEIGHT, WIDTH))
         if number not in gap:
-            cv2.ellipse(image, (50 + 2 * number, 90), (10, 3), 0, 0, 360, 200.0, -1)
-        cv2.ellipse(image, (110 - 2 * number, 170), (8, 3), 0, 0, 360, 190.0, -1)
+            cv2.ellipse(image, (50 + 2 * number, 90), (10, 3), 0, 0, 360, (200.0,), -1)
+        cv2.ellipse(image, (110 - 2 * number, 170), (8, 3), 0, 0, 360, (190.0,), -1)
         images.append(np.clip(image, 0, 255).astype(np.uint8))
     return images
 
