@@ -46,7 +46,8 @@ def with_water(sample: TrainingImage, rng: np.random.Generator) -> TrainingImage
 
 def _grain(rng: np.random.Generator, shape: tuple[int, ...]) -> Float32s:
     """Magnitude of a correlated complex Gaussian to some power, as displays show it; mean 1."""
-    across, down = np.exp(rng.uniform(*np.log(_SIGMAS_PX), size=2))
+    low, high = np.log(_SIGMAS_PX)
+    across, down = np.exp(rng.uniform(low, high, 2))
     parts = [
         cv2.GaussianBlur(rng.standard_normal(shape, np.float32), (0, 0), across, sigmaY=down)
         for _ in range(2)

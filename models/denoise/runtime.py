@@ -219,7 +219,7 @@ class OnnxNetwork:
 
     def interference(self, view: Float32s, width_rad: float) -> Float32s:
         """(NODES, BEARINGS) of a `bearing_view` of a sector; see `networks.bearings`."""
-        inputs = {"view": view[None], "width_rad": np.float32([[width_rad]])}
+        inputs = {"view": view[None], "width_rad": np.array([[width_rad]], np.float32)}
         (nodes,) = self._opened("bearings").session.run(["interference"], inputs)
         return np.asarray(nodes[0], np.float32)
 
@@ -441,7 +441,8 @@ class TorchNetwork:
         import torch
 
         with torch.inference_mode():
-            nodes = self._network.bearings(
+            head: Any = self._network.bearings
+            nodes = head(
                 torch.from_numpy(view)[None].to(self._device),
                 torch.tensor([[width_rad]], device=self._device),
             )

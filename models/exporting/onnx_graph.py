@@ -216,7 +216,7 @@ class RuntimeGraph(Graph):
         if self.form == "bearings":
             view = rng.gamma(4, 0.05, (1, 2, RANGES, BEARINGS)).astype(np.float32)
             view[:, 1] = rng.random((RANGES, BEARINGS)) < 1 - 0.2 * seed
-            width_rad = np.float32([[0.3 + 0.5 * seed]])
+            width_rad = np.array([[0.3 + 0.5 * seed]], np.float32)
             return {"view": torch.from_numpy(view), "width_rad": torch.from_numpy(width_rad)}
         noisy = np.clip(rng.exponential(0.2, (height, width)), 0, 1).astype(np.float32)
         layouts: tuple[Layout, ...] = ("fan", "polar", "none")

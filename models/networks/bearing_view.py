@@ -55,7 +55,7 @@ def bearing_view(grey: Float32s, geometry: FanGeometry) -> Float32s:
     height, width = grey.shape
     is_known = (row > -0.5) & (row < height - 0.5) & (column > -0.5) & (column < width - 0.5)
     values = cv2.remap(grey, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.stack([values * is_known, is_known]).astype(np.float32, copy=False)
+    return np.asarray(np.stack([values * is_known, is_known]), np.float32)
 
 
 def segment_means(view: Float32s) -> Float32s:

@@ -70,7 +70,7 @@ def denoise_with(network: nn.Module, image: Grey) -> Grey:
 
     with torch.inference_mode():
         denoised = network(torch.from_numpy(np.asarray(image, np.float32))[None, None])
-    return np.clip(denoised[0, 0].numpy(), 0, 1)
+    return np.asarray(np.clip(denoised[0, 0].numpy(), 0, 1), np.float32)
 
 
 def similar_pixels(image: Float32s) -> Float32s:
