@@ -19,7 +19,7 @@ from ...factory.common.array_types import Array, Bools, Float32s, Int64s
 from ...factory.common.errors import FactoryError
 from ...factory.common.extras import Need, require
 from ...factory.common.workers.machine import usable_cores
-from ..networks import DEFAULT, GEOMETRY, vector
+from ..networks import BEARING_INPUTS, DEFAULT, GEOMETRY, vector
 from ..networks.weights import read_weights
 from ..pretrained import shipped
 from ..pretrained.graphs import Form, RunnableGraph, find_runnable, unknown_graph
@@ -170,7 +170,7 @@ class OnnxNetwork:
             )
         model = header["model"]
         # Graphs serve all that share their layers, also those that always forgot the geometry.
-        unknown = GEOMETRY if model.get("forget", 0) == 1 else ()
+        unknown = (*GEOMETRY, *BEARING_INPUTS) if model.get("forget", 0) == 1 else ()
         self.extras = tuple(name for name in facts["extras"].split(",") if name not in unknown)
         self._stride = max(int(facts["stride"]), 1)
         self.wide_grain = float(model.get("wide_grain", 1.0))

@@ -9,7 +9,9 @@ A network is one file beside this one with a settings class and a torch module, 
   `with_heads` that may be left out where it is unknown: `range_fraction` (N, 1, H, W),
   slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
   (N, 1, H, W), 1 inside the insonified sector and 0 outside; `remove` (N, 6), 1 for each artefact
-  to remove (`vector`).  Batches hold them under these names.
+  to remove (`vector`); `bearings` (n, 2, RANGES, BEARINGS), whole bearings of the images that n
+  equal parts of the N show, and `bearing_sector` (N, 4), see `bearing_view`.  Batches hold them
+  under these names.
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each image.
@@ -40,6 +42,8 @@ RIVALS = {"sid_tgan": "SIDTGAN"}
 
 GEOMETRY = ("range_fraction", "azimuth_rad", "sector")
 """Inputs that say where a pixel lies."""
+BEARING_INPUTS = ("bearings", "bearing_sector")
+"""Inputs of whole bearings; see `bearing_view`."""
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
 """The ones of `ARTEFACTS` that networks remove: ground and brightness of an image stay."""
 _MOST_FRAMES = 16.0  # more are too few to tell from this many by the noise that is left

@@ -33,7 +33,7 @@ from torch.nn import functional
 
 from ...factory.common.settings import STRICT
 from ...factory.simulation.imaging.artefacts import ARTEFACTS
-from . import DEFAULT, GEOMETRY, vector
+from . import BEARING_INPUTS, DEFAULT, GEOMETRY, vector
 from .bearings import BearingHead, at_pixels, remaining_share
 from .blend_head import BlendHead
 from .blocks import residual_blocks, zeroed
@@ -120,7 +120,7 @@ class SonarNet(Network):
         remove_inputs = ("remove",) if settings.told else ()
         # What is always forgotten is no input.
         maps = GEOMETRY if settings.forget < 1 else ()
-        views = ("bearings", "bearing_sector") if settings.bearings else ()
+        views = BEARING_INPUTS if settings.bearings and settings.forget < 1 else ()
         frames_inputs = ("frames",) if settings.frames else ()
         self.extras = (*maps, *remove_inputs, *frames_inputs, *views)
         self.bearings = BearingHead() if settings.bearings else None
