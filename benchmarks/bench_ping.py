@@ -82,7 +82,7 @@ def _latencies(
     label: str, sonar: Sonar, pose_of: Callable[[int], Pose], count: int
 ) -> list[tuple[str | float, ...]]:
     sonar.ping(pose_of(0)).noisy.any()
-    rows = []
+    rows: list[tuple[str | float, ...]] = []
     for threads in (1, 2):
         took_ms: list[float] = []
 

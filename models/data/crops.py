@@ -142,9 +142,9 @@ def whole_bearings(sample: TrainingImage, display: Display = _AS_IT_IS) -> Whole
     geometry = sample.geometry
     if geometry is None:
         return None
-    shape = sample.noisy.shape
-    place = ImagePart(0, 0, shape, shape)
-    rows, columns = (max(2, round(side * display.scale)) for side in shape)
+    height, width = sample.noisy.shape
+    place = ImagePart(0, 0, (height, width), (height, width))
+    rows, columns = (max(2, round(side * display.scale)) for side in (height, width))
 
     def seen(image: Float32s) -> Float32s:
         if display != _AS_IT_IS:

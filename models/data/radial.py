@@ -112,7 +112,7 @@ def _frame_of(sample: TrainingImage) -> _Frame | None:
     def places(values: Float32s) -> Int64s:
         low = values[inside].min()
         step = (values - low) / max(values[inside].max() - low, 1e-6)
-        return np.clip(step * _PLACES, 0, _PLACES - 1).astype(np.int64)
+        return np.asarray(np.clip(step * _PLACES, 0, _PLACES - 1), np.int64)
 
     azimuth = maps["azimuth_rad"]
     span_deg = float(np.degrees(np.ptp(azimuth[inside])))
@@ -136,7 +136,7 @@ def _spoke(rng: np.random.Generator, frame: _Frame) -> Float32s:
     else:
         along = np.interp(places, [0, 1], rng.uniform(0.3, 1, 2))
     level = _log_uniform(rng, *_LEVELS) / along.max()
-    speckle: Float32s = np.float32(1)
+    speckle: Float32s = np.ones(1, np.float32)
     if width_deg < _OWN_GRAIN_WIDTH_DEG and rng.random() < 0.5:
         speckle = _speckle(rng, frame, frame.inside.shape)
     else:
@@ -166,7 +166,7 @@ def _bearing_gain(rng: np.random.Generator, span_deg: float) -> Float32s:
     if rng.random() < 0.4:
         scale = _log_uniform(rng, 1, 30) / span_deg * _PLACES
         pattern = _smooth_noise(rng, scale)
-        return np.exp(rng.uniform(0.05, 0.5) * pattern).astype(np.float32)
+        return np.asarray(np.exp(rng.uniform(0.05, 0.5) * pattern), np.float32)
     places = np.arange(_PLACES)
     decibels = np.zeros(_PLACES)
     for _ in range(int(rng.integers(1, 4))):
@@ -200,7 +200,7 @@ def _bell(
     width_deg = min(width_deg, _WIDEST * span_deg)
     exponent = 3.0 if is_flat else 1.0
     scaled = np.square(offset / (width_deg / _FWHM)) / 2
-    return np.exp(-np.minimum(scaled**exponent, 60)).astype(np.float32)
+    return np.asarray(np.exp(-np.minimum(scaled**exponent, 60)), np.float32)
 
 
 def _common_speckle(rng: np.random.Generator, frame: _Frame) -> Float32s:
@@ -216,11 +216,12 @@ def _common_speckle(rng: np.random.Generator, frame: _Frame) -> Float32s:
 def _speckle(rng: np.random.Generator, frame: _Frame, shape: tuple[int, ...]) -> Float32s:
     """Speckle of single pixels, or of neighbouring ones alike, mean 1, (H, W)."""
     looks = _log_uniform(rng, 2, 16) * frame.looks
-    speckle = rng.gamma(looks, 1 / looks, shape).astype(np.float32)
+    speckle: Float32s = rng.gamma(looks, 1 / looks, shape).astype(np.float32)
     if rng.random() < 0.5:
         sigmas = rng.uniform(0.3, 1.2, 2)
-        speckle = cv2.GaussianBlur(speckle, (0, 0), sigmas[0], sigmaY=sigmas[1])
-    return np.asarray(speckle, np.float32)
+        blurred = cv2.GaussianBlur(speckle, (0, 0), sigmas[0], sigmaY=sigmas[1])
+        speckle = np.asarray(blurred, np.float32)
+    return speckle
 
 
 def _smooth_noise(rng: np.random.Generator, scale: float) -> Float32s:

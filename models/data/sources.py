@@ -190,7 +190,7 @@ def _mixed(data: MixedData, points: RenderSource, others: tuple[FrameRef, ...], 
     config = replace(points.config, **device_settings)
     # An image without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
-    if data.radial:
+    if data.radial and config.noise.spokes is not None:
         # Spokes are drawn into the images, where it is known how strong they are.
         spokes = replace(config.noise.spokes, enabled=False)
         config = replace(config, noise=replace(config.noise, spokes=spokes))

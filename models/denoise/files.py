@@ -210,8 +210,12 @@ class _RecordingRun:
             return
         self._largest_deviation = max(self._largest_deviation, deviation)
         removed = _removed(frame.samples, image, self._job).shown()
-        panels = (view_of(frame, panel) for panel in (frame.samples, image, removed))
-        shown = Compared(*panels, label=f"frame {frame.number}")
+        shown = Compared(
+            view_of(frame, frame.samples),
+            view_of(frame, image),
+            view_of(frame, removed),
+            label=f"frame {frame.number}",
+        )
         self._shown = [*self._shown[: COMPARED - 1], shown]
 
     def _reported(self, finished: Iterator[FinishedFrame]) -> Iterator[ResultFrame]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ _SPACE = rb"(?:\s|#[^\n]*\n)+"
 _COMMENT = re.compile(rb"#[^\n]*")
 _HEADER = re.compile(rb"P([2356])" + 3 * (_SPACE + rb"(\d{1,9})") + rb"\s")
 _HEADER_BYTES = 4096
-_DTYPES = {255: np.dtype(np.uint8), 65535: np.dtype(">u2")}
+_DTYPES: dict[int, np.dtype[Any]] = {255: np.dtype(np.uint8), 65535: np.dtype(">u2")}
 """Full scale -> type of the samples of a binary file."""
 
 
@@ -95,4 +95,5 @@ def encode_portable(image: Array, largest: int | None) -> bytes:
     scaled = swapped((image.astype(np.int64) * most + full // 2) // full)
     height, width = image.shape[:2]
     header = f"P{5 if image.ndim == 2 else 6}\n{width} {height}\n{most}\n"
-    return header.encode() + scaled.astype(_DTYPES[255 if most <= 255 else 65535]).tobytes()
+    dtype = _DTYPES[255 if most <= 255 else 65535]
+    return header.encode() + bytes(scaled.astype(dtype).tobytes())

@@ -217,7 +217,7 @@ class StackFile(Recording):
         first = self._layout.first
         content = self.bytes_at(first.dataoffsets[0] + number * first.nbytes, first.nbytes, name)
         with explained(f"{name}: samples of {first.bitspersample} bits cannot be read"):
-            dtype = first.dtype.newbyteorder(self._tiff.byteorder)
+            dtype = np.dtype(first.dtype).newbyteorder(self._tiff.byteorder)
             return _upright(np.frombuffer(content, dtype).reshape(first.shape), first)
 
 
@@ -343,13 +343,13 @@ def _seconds(number: Any, unit: str) -> float | None:
 def _read_page(tiff: tifffile.TiffFile, path: Path, number: int, name: str) -> Array:
     """A page, upright, (H, W) or (H, W, C) BGR, black as 0.  Raises FrameError."""
     with explained(f"{name}: cannot be read", reason=True), quiet_stderr():
-        page: Any = tiff.pages.get(number)  # type: ignore[union-attr]
+        page: Any = tiff.pages.get(number)
         is_plain = page.photometric <= 2 and page.bitspersample >= 8
         if is_plain and page.compression.name in _UNPACKED:
             return _upright(np.asarray(page.asarray()), page)
         if page.bitspersample > 8 and page.samplesperpixel > 1:  # Pillow has 8 bits a colour alone
-            options = {"start": number, "count": 1, "flags": cv2.IMREAD_UNCHANGED}
-            return np.asarray(cv2.imreadmulti(str(path), **options)[1][0])
+            _, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
+            return np.asarray(pages[0])
         with Image.open(path, formats=("TIFF",)) as image:
             image.seek(number)
             is_palette = image.mode == "P"

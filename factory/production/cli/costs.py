@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -129,7 +129,7 @@ def disk_warning(config: FactoryConfig, job: DatasetJob) -> str | None:
     )
 
 
-def _read(config: FactoryConfig) -> dict[str, list[object]]:
+def _read(config: FactoryConfig) -> dict[str, Any]:
     try:
         known = json.loads((config.cache.folder / _FILE).read_text("utf-8"))
     except (OSError, ValueError):

@@ -112,7 +112,7 @@ def cloud_message(points: Array, header: Any, types: Mapping[str, Any]) -> Any:
         types["sensor_msgs/msg/PointField"](
             name=name, offset=int(offset), datatype=numbers[kind.str], count=1
         )
-        for name, (kind, offset) in points.dtype.fields.items()
+        for name, (kind, offset, *_) in points.dtype.fields.items()
     ]
     return types[POINTS](
         header=header,

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from fnmatch import fnmatchcase
-from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...common.errors import FactoryError
@@ -98,7 +97,9 @@ def _reason_of_rules(config: FactoryConfig, key: str) -> str | None:
     for rule in _RULES:
         if not any(fnmatchcase(key, pattern) for pattern in rule.keys):
             continue
-        value = reduce(lambda node, name: getattr(node, name, None), rule.switch.split("."), config)
+        value: Any = config
+        for name in rule.switch.split("."):
+            value = getattr(value, name, None)
         if value not in rule.values:
             wanted = {None: "null", (): "[]"}.get(rule.values[0], rule.values[0])
             return f"has no effect here; set {rule.switch}={wanted}, or leave it out"

@@ -30,7 +30,8 @@ def key_help(config_name: str, command: str) -> str:
     command: such as `make`; experiments of other commands are left out.
     """
     blocks = _blocks(_CONF / f"{config_name}.yaml")
-    chosen = dict(match.groups() for line in blocks["defaults:"] if (match := _GROUP.match(line)))
+    matches = [match for line in blocks["defaults:"] if (match := _GROUP.match(line))]
+    chosen = {match[1]: match[2] for match in matches}
     lines = []
     if chosen:
         lines += ["Groups (GROUP=NAME):", *_choice_lines(chosen, command), ""]

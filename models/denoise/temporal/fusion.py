@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ....factory.common.array_types import Array, Bools
+from ....factory.common.array_types import Array, Bools, Float32s
 from .motion import blurred, everywhere, factors, grey_of, reduced
 from .noise_level import at_level, noise_by_level, some_of, standardised
 from .tracking import MAX_OFFSET, Tracks, find_tracks
@@ -271,7 +271,9 @@ class _Agreement:
             kernels.excess_exponent(deviation, wide_mean, wide_sigma, np.float32(limit))
             for (deviation, _), wide_mean, limit in zip(both, wide, limits, strict=True)
         ]
-        self.planes = [cv2.exp(exponent) for exponent in exponents]
+        self.planes: list[Float32s] = [
+            np.asarray(cv2.exp(exponent), np.float32) for exponent in exponents
+        ]
         self.deviation: Array = both[-1][0]
         self.wide_deviation: Array = wide[-1] / wide_sigma
 

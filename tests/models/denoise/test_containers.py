@@ -174,7 +174,7 @@ def write_described(path: Path, text: str, shape: tuple[int, ...], pages: int) -
     options: Any = planes if len(shape) == 3 else {"photometric": "minisblack"}
     with tifffile.TiffWriter(path) as writer:
         for number in range(pages):
-            described = {"description": text} if number == 0 else {}
+            described: Any = {"description": text} if number == 0 else {}
             page = np.full(shape, number, np.uint8)
             writer.write(page, contiguous=False, metadata=None, **options, **described)
     return path
