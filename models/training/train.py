@@ -30,13 +30,12 @@ from ..networks.weights import load_weights, save_weights
 from ..pretrained import find_weights
 from ..pretrained.learned_files import KEY as LEARNED_FROM
 from ..settings import ModelsSettings
-from .adversarial import Opponent
 from .batch_reader import BatchReader, innermost_message
 from .checkpoints import checkpoint_to_continue, write_checkpoint
 from .cost import Cost, CostMeter, read_cost
 from .loop import Row, TrainingLoop, denoised, device_of, precision_of
 from .losses import Loss
-from .objective import training_loss
+from .objective import Opponent, training_loss
 from .recipe import files_learned_from, full_recipe
 from .validation import best_row, validate
 

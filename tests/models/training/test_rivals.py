@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from simnfnd.models.networks.rivals.sid_tgan import hinge
-from simnfnd.models.training.adversarial import Opponent
 from simnfnd.models.training.loop import TrainingLoop
+from simnfnd.models.training.objective import Opponent
 from simnfnd.models.training.train import train
 from tests.models.networks.tiny_networks import TINY
 from tests.models.training.small_training import config_for
