@@ -12,7 +12,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from ...common.array_types import Array, Float32s, Float64s
@@ -187,6 +186,8 @@ def polar_grid(sonar: SonarDevice, geometry: FanGeometry) -> PingGrid:
 
 def polar_image(image: Array, geometry: FanGeometry, grid: PingGrid) -> Array:
     """(R, B) of the same type: a polar image as it is, a fan at the nearest pixels to the grid."""
+    import cv2  # of the extra `ros`, which tables do without
+
     if geometry.layout == "polar":
         return image
     assert geometry.range_max_m is not None
