@@ -5,7 +5,7 @@ reader), `simulation` (a frame to its pair; `simulation/pairs/pair_maker.py` is 
 and `production` (scheduler, command line, exports).
 """
 
-__version__ = "0.6.0"
+__version__ = "0.7.0"
 
 if __name__ == "factory":
     from simnfnd.rooms import refuse_modules_of
