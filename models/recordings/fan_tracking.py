@@ -22,7 +22,7 @@ from .fans.levels import grey_bytes
 
 _KEPT_SHARE = 0.5  # of the outline that was seen when the fan was found
 _LEAST_SPREAD = 6  # of 255: ringing of codecs on a flat ground
-_MORE_OUTSIDE = 0.02  # part of the image: text and menus where there was nothing
+_MORE_OUTSIDE = 0.005  # part of the image: menus, or a scene that moved, where there was nothing
 _LEAST_INSIDE = 0.2  # of what was lit in the fan when it was found
 _THUMBNAIL_PX = 16
 _LEAST_CUT = 1.0  # mean difference of thumbnails, of 255
@@ -174,7 +174,8 @@ def _shows_other(fan: _TrackedFan, grey: UInt8s) -> bool:
 
 
 def _is_kept(fan: _TrackedFan, grey: UInt8s) -> bool:
-    return bool((_shares(fan, grey) >= _KEPT_SHARE * fan.shares).all())
+    is_filled = _outside_of(fan, grey) <= fan.outside + _MORE_OUTSIDE
+    return is_filled and bool((_shares(fan, grey) >= _KEPT_SHARE * fan.shares).all())
 
 
 def _is_dark(fan: _TrackedFan, grey: UInt8s) -> bool:

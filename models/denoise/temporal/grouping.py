@@ -75,9 +75,8 @@ class Grouping:
             likeness = likeness_of(thumbnail, self._looks[parent].thumbnail)
             is_same_scene = likeness.is_same_scene
             change = changed_grain(self._greys[parent], grey)
-            near = range(number - REACH, number)
-            changes = [self._looks[other].change for other in near if other in self._looks]
-            is_little = change <= most_change_of_copies([*changes, change])
+            changes = [*self._changes_before(number, parent), change]
+            is_little = change <= most_change_of_copies(changes)
         self._looks[number] = _Look(
             settings, grey.shape, thumbnail, brightness, parent, is_same_scene, change, is_little
         )
@@ -152,6 +151,15 @@ class Grouping:
         if brightness in (0, 1):
             return 1.0
         return float(min(2.0 ** math.floor(math.log2(_WANTED / brightness)), _MOST_GAIN))
+
+    def _changes_before(self, number: int, parent: int) -> list[float]:
+        """What changed in the frames before one on its chain, the oldest first."""
+        changes: list[float] = []
+        frame: int | None = parent
+        while frame is not None and frame >= number - REACH and frame in self._looks:
+            changes.insert(0, self._looks[frame].change)
+            frame = self._looks[frame].parent
+        return changes
 
     def _most_like(
         self, number: int, thumbnail: Array, shape: tuple[int, ...], settings: RecordedSettings

@@ -330,11 +330,17 @@ class Dimming:
         return grey * np.float32(0.3)
 
 
+def dimmed(image: Array, *, knows_frames: bool) -> Array:
+    """The only frame of a recording."""
+    denoising = Denoising(Dimming(knows_frames=knows_frames), frames=3)
+    (denoised,) = denoising.sequence([denoising.shot(0, image, lambda _: None)])
+    return denoised.image
+
+
 @pytest.mark.parametrize("white", [255, 1023, 4095, 65535])
 def test_a_saturated_echo_keeps_its_level(white: int) -> None:
     image = saturated_square(white)
-    denoising = Denoising(Dimming(knows_frames=True))
-    result = denoising.denoise_image(image, lambda _: None).image
+    result = dimmed(image, knows_frames=True)
     assert (result[30:50, 20:60] == white).all()
     np.testing.assert_allclose(result[52:], image[52:] * 0.3, atol=1)
 
@@ -342,8 +348,7 @@ def test_a_saturated_echo_keeps_its_level(white: int) -> None:
 def test_clipped_cells_of_points_are_noisy_too() -> None:
     """Weights for simulated points take what piles up there; those for recordings do not."""
     image = saturated_square(255)
-    denoising = Denoising(Dimming(knows_frames=False))
-    result = denoising.denoise_image(image, lambda _: None).image
+    result = dimmed(image, knows_frames=False)
     np.testing.assert_allclose(result, image * 0.3, atol=1)
 
 
@@ -351,8 +356,7 @@ def test_darkness_is_not_saturated() -> None:
     """A few counts around black make flat squares by chance."""
     image = np.random.default_rng(0).integers(0, 2, (64, 64)).astype(np.uint8)
     image[20:40, 20:40] = 1
-    denoising = Denoising(Dimming(knows_frames=True))
-    result = denoising.denoise_image(image, lambda _: None).image
+    result = dimmed(image, knows_frames=True)
     np.testing.assert_allclose(result, image * 0.3, atol=1)
 
 

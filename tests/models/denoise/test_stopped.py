@@ -73,24 +73,24 @@ def test_what_is_done_is_skipped_by_the_next_run(
     window: str,
     code: int,
 ) -> None:
-    for index in range(12):
+    for index in range(24):
         write(tmp_path / "in" / f"f{index:02d}.png", noisy(scene(0), index))
     out = tmp_path / "out"
     words = [str(tmp_path / "in"), "--out", str(out), "--geometry", "none", "--frames", window]
-    use(monkeypatch, 9, number)
+    use(monkeypatch, 20, number)
     assert simnfnd_main(["denoise", *words]) == code
     done = {path.name: path.stat().st_mtime_ns for path in out.glob("*.png")}
-    assert 0 < len(done) < 12
+    assert 0 < len(done) < 24
     assert f"denoised: {len(done)} file(s) in {out} before it was stopped" in (
         capsys.readouterr().err
     )
     use(monkeypatch, None)
     assert options.main(words) == 0
     assert f"already denoised: {len(done)} file(s)" in capsys.readouterr().out
-    assert len(list(out.glob("*.png"))) == 12
+    assert len(list(out.glob("*.png"))) == 24
     assert all((out / name).stat().st_mtime_ns == time for name, time in done.items())
     # A run that came to its end is done again where that is asked for.
-    for more, count in (([], 0), (["--again"], 12)):
+    for more, count in (([], 0), (["--again"], 24)):
         again = use(monkeypatch, None)
         assert options.main([*words, *more]) == 0
         assert again.count >= count
