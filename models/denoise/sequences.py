@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from ...factory.common.array_types import Array
 from ...factory.common.errors import FactoryError, FrameError
@@ -26,9 +27,6 @@ from .denoiser import Denoiser
 from .images import Denoised, Denoising, FrameShots, LevelRange, OutOfRange
 from .records import FrameRecord
 from .temporal.stream import MARGIN_AFTER, MARGIN_BEFORE
-
-if TYPE_CHECKING:
-    from ...factory.common.workers.tasks import TaskPool
 
 _SILENCE_S = 600.0  # a worker that finishes no frame for so long is ended
 _MOST_BLOCKS = 4
@@ -267,10 +265,7 @@ class BlockwiseSequence:
 
     def frames(self, recorded: Iterable[SonarFrame], count: int) -> Iterator[FinishedFrame]:
         """All frames of the source, `recorded`, in order.  count: as far as the file knows."""
-        from ...factory.common.workers.tasks import TaskPool  # loads psutil
-
-        with TaskPool(self._workers) as pool:
-            done = self._denoise_in(pool, count) if self._workers > 1 else iter(())
+        with closing(self._denoised_by_workers(count)) as done:
             block = Block([], [])
             for frame in recorded:
                 index = frame.number % BLOCK_FRAMES
@@ -286,9 +281,14 @@ class BlockwiseSequence:
                     self._progress()
                 yield FinishedFrame(frame, image, record)
 
-    def _denoise_in(self, pool: TaskPool, count: int) -> Iterator[object]:
-        """Denoise all missing blocks in worker processes; something for each task that is done."""
-        from ...factory.common.workers.tasks import TaskLost
+    def _denoised_by_workers(self, count: int) -> Generator[object, None, None]:
+        """Denoise all missing blocks in worker processes; something for each task that is done.
+
+        With one worker it denoises nothing, and the caller does it block by block.
+        """
+        if self._workers == 1:
+            return
+        from ...factory.common.workers.tasks import TaskLost, TaskPool  # load psutil
 
         firsts = range(0, count, BLOCK_FRAMES)
         missing = [first for first in firsts if self._store.read(first) is None]
@@ -301,11 +301,12 @@ class BlockwiseSequence:
                 tasks[-1] = newest._replace(last=last)
             else:
                 tasks.append(_Part(self._options, self._source, self._store, first, last))
-        for part, result in pool.run(_denoise_part, tasks, lambda part: _SILENCE_S):
-            if isinstance(result, TaskLost):
-                numbers = f"{part.first} to {part.last}"
-                raise FrameError(f"frames {numbers}: {result.reason}; run the command again")
-            yield part
+        with TaskPool(self._workers) as pool:
+            for part, result in pool.run(_denoise_part, tasks, lambda part: _SILENCE_S):
+                if isinstance(result, TaskLost):
+                    numbers = f"{part.first} to {part.last}"
+                    raise FrameError(f"frames {numbers}: {result.reason}; run the command again")
+                yield part
 
     def _block(self, first: int, done: Iterator[object]) -> Block:
         """A block, once it is on disk."""
