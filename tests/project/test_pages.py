@@ -129,8 +129,9 @@ REAL: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("make", "plan", "cache pack"), QUICK),
     **dict.fromkeys(("cache stats", "status", "inspect"), ()),
     **dict.fromkeys(("validate", "merge", "preview", "export"), ()),
+    "stream": ("--count", "2"),
 }
-ABSENT = ("dive.aris", "simnfnd view")
+ABSENT = ("dive.aris", "simnfnd view", "examples/platform.csv")
 # Take long, and have tests of their own; or a page has them, too, whose test runs them.
 LONG = ("export-weights simnfnd", "evaluate paper", "make -m noise.background.density=0.1,0.5")
 ELSEWHERE = {"simnfnd demo", *(example.text for page in PAGES for example in STEPS[page])}
