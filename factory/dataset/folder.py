@@ -106,7 +106,7 @@ def differences(
         f"{key} {stored_values.get(key, '(absent)')} -> {current_values.get(key, '(absent)')}"
         for key in sorted(stored_values.keys() | current_values.keys())
         if stored_values.get(key) != current_values.get(key)
-        and key not in PARTS
+        and key.split(".")[0] not in PARTS
         and not (free and free.match(key))
     ]
     more = [f"and {len(changes) - MOST_LISTED} more"] if len(changes) > MOST_LISTED else []
