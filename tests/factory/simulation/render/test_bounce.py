@@ -235,7 +235,6 @@ def test_bounces_off_leave_hashes_and_need_embree() -> None:
         (["render=analytic", "render.bounces=1"], "render.bounces"),
         (["render=embree", "render.bounces=2"], "render.bounces"),
         (["render=embree", "render.bounces=1", "render.reflection_loss_db=-1"], "reflection_loss"),
-        (["render=embree", "render.reflection_loss_db=3"], "render.reflection_loss_db"),
     ):
         with pytest.raises(FactoryError, match=key):
             compose_config(words)
