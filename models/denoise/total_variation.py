@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 
 from ...factory.common.array_types import Array, Float32s
@@ -24,23 +23,25 @@ def less_total_variation(grey: Array, weight: Array, steps: int) -> Float32s:
     across, down, next_across, next_down = np.zeros((4, *grey.shape), np.float32)
     slope_across, slope_down = np.zeros((2, *grey.shape), np.float32)
     momentum = 1.0
+    # By NumPy alone: the last bit of OpenCV's sums of products depends on where arrays lie.
     for _ in range(steps):
         image = _primal(grey, across, down, weight)
         np.subtract(image[:, 1:], image[:, :-1], out=slope_across[:, :-1])
         np.subtract(image[1:], image[:-1], out=slope_down[:-1])
-        cv2.accumulateProduct(slope_across, step, across)
-        cv2.accumulateProduct(slope_down, step, down)
+        across += slope_across * step
+        down += slope_down * step
 
-        length = np.maximum(cv2.magnitude(across, down), 1)
+        length = np.sqrt(across * across + down * down)
+        np.maximum(length, 1, out=length)
         across /= length
         down /= length
 
         next_momentum = (1 + math.sqrt(1 + 4 * momentum * momentum)) / 2
-        push = (momentum - 1) / next_momentum
+        push = np.float32((momentum - 1) / next_momentum)
         momentum = next_momentum
         # The dual with momentum, over the dual of the step before.
-        cv2.addWeighted(across, 1 + push, next_across, -push, 0, dst=next_across)
-        cv2.addWeighted(down, 1 + push, next_down, -push, 0, dst=next_down)
+        next_across = across + push * (across - next_across)
+        next_down = down + push * (down - next_down)
         across, next_across = next_across, across
         down, next_down = next_down, down
     # Without momentum.
