@@ -100,7 +100,9 @@ def test_images_keep_name_size_and_dtype(
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
-def test_names_may_hold_any_bytes(tmp_path: Path, weights: Path) -> None:
+def test_names_may_hold_any_bytes(
+    tmp_path: Path, weights: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
     """As Latin-1 writes them on a disk of UTF-8."""
     folder = os.fsencode(tmp_path / "in")
     os.mkdir(folder)
@@ -113,6 +115,8 @@ def test_names_may_hold_any_bytes(tmp_path: Path, weights: Path) -> None:
     assert set(names) < set(os.listdir(os.fsencode(tmp_path / "out")))
     assert b"plong\xe9e_0000.png," in (tmp_path / "out" / "denoised.csv").read_bytes()
     assert main(words) == 0  # its journal is read
+    # Reports of tests hold text alone, and no such name.
+    assert b"plong" in b"".join(capfdbinary.readouterr())
 
 
 def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:
