@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 Bools = npt.NDArray[np.bool_]
-Complex64s = npt.NDArray[np.complex64]
 Floats = npt.NDArray[np.floating]
 """Floating-point numbers of any precision."""
 Float32s = npt.NDArray[np.float32]

@@ -15,11 +15,9 @@ from ...common.elementary import rotated, rotation_numbers
 
 _A = np.uint32(0x85EBCA6B)
 _B = np.uint32(0xC2B2AE35)
-_1 = np.uint32(1)
-_2 = np.uint32(2)
-_3 = np.uint32(3)
-_8 = np.uint32(8)
-_9, _13, _16, _GOLDEN = (np.uint32(v) for v in (9, 13, 16, 0x9E3779B9))
+_13 = np.uint32(13)
+_16 = np.uint32(16)
+_GOLDEN = np.uint32(0x9E3779B9)
 _STEPS_X = np.uint32(73856093)
 _STEPS_Y = np.uint32(19349663)
 _STEPS_Z = np.uint32(83492791)
@@ -29,7 +27,6 @@ _TWO = np.float32(2)
 _FOUR = np.float32(4)
 _TINY = np.float32(1e-6)
 
-_NOTHING = np.uint64(0)
 _BLOCK = 1024
 
 _TABLE = "Array(float32, 1, 'C', readonly=True)"
